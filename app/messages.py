@@ -1,0 +1,70 @@
+"""What crosses between threads: frozen, complete values, never references to live state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import vf
+
+
+@dataclass(frozen=True)
+class Command:
+    """Everything the operator says to the control loop, latest value wins.
+
+    Attributes:
+        target: goal of the tool tip (the proxy), arm base frame; None holds the tool.
+        sequence: grows by one with every command of a session.
+        clutch: pressed: the tool holds, the force is zero.
+        held: the operator is dragging right now, so commands must keep arriving.
+        stamp: monotonic time at which the command was made [s].
+    """
+
+    target: pin.SE3 | None
+    sequence: int
+    clutch: bool = False
+    held: bool = False
+    stamp: float = 0.0
+
+
+@dataclass(frozen=True)
+class LoopStats:
+    """How the control thread keeps its time; a summary over about the last second."""
+
+    rate: float = 0.0  # achieved [Hz]
+    tick_median: float = 0.0  # time spent in one tick [s]
+    tick_worst: float = 0.0  # [s]
+    late_p99: float = 0.0  # 99th percentile of the start's delay behind its deadline [s]
+    late_worst: float = 0.0  # [s]
+    overruns: int = 0  # ticks since the start that ended after the next deadline
+    counts: dict[vf.Status, int] = field(default_factory=dict)  # ticks by status since the start
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """One tick as seen from outside.
+
+    Attributes:
+        tick: number of the tick since the session's start.
+        time: simulated time, tick × dt [s].
+        q: (n,) joint positions after the tick.
+        target: the proxy the tick was driven by (None: held).
+        step: what the controller did; None before the first tick and while paused at start.
+        scene: version of the session's scene (arm and mesh) the tick ran in.
+        sequence: of the newest command seen.
+    """
+
+    tick: int
+    time: float
+    q: NDArray[np.float64]
+    target: pin.SE3 | None
+    step: vf.Step | None
+    stats: LoopStats
+    scene: int
+    sequence: int
+    paused: bool
+    autopilot: bool
+    stale: bool

@@ -1,0 +1,58 @@
+"""Half-spaces: what every fixture hands to the controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Rule(IntEnum):
+    """Why a plane is there. FACE, RIDGE and VALLEY are the paper's Conditions 1, 2 and 3."""
+
+    NAIVE = 0  # face plane without any condition (the paper's Fig. 2d)
+    FACE = 1  # Condition 1: face plane, closest point inside the face
+    RIDGE = 2  # Condition 2: normal along x minus the closest point
+    VALLEY = 3  # Condition 3: face plane, closest point on a valley edge
+    EXIT = 4  # the tool is inside the anatomy: only motion towards the way out
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Half-spaces n·y ≥ o on the centre y of the tool tip, in the frame of the mesh.
+
+    Attributes:
+        normals: (m, 3) unit vectors to the allowed side.
+        offsets: (m,) [m].
+        points: (m, 3) the closest points that gave the planes [m].
+        triangles: (m,) index of the face that gave each plane.
+        rules: (m,) values of `Rule`.
+        radius: the planes are valid for steps that end within this distance of x [m]: the
+            radius asked for, or less where the plane budget was spent.
+    """
+
+    normals: FloatArray
+    offsets: FloatArray
+    points: FloatArray
+    triangles: IntArray
+    rules: IntArray
+    radius: float
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+    @staticmethod
+    def none(radius: float) -> Planes:
+        """No constraint but the ball of the given radius [m]."""
+        empty = np.empty((0, 3))
+        index = np.empty(0, dtype=np.int64)
+        return Planes(empty, np.empty(0), empty, index, index, radius)
+
+    def slack(self, y: FloatArray) -> FloatArray:
+        """Signed room n·y − o of a tip centre y (3,) at every plane, (m,) [m]."""
+        return self.normals @ y - self.offsets
