@@ -1,0 +1,103 @@
+"""Closest point of a triangle, and the feature of the triangle it lies on."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from vf.planes import FloatArray
+
+
+class Feature(IntEnum):
+    """Where on a triangle (corners 0, 1, 2) a closest point lies.
+
+    EDGE_k runs from corner k to corner k+1 (mod 3); VERTEX_k is corner k.
+    """
+
+    FACE = 0
+    EDGE_0 = 1
+    EDGE_1 = 2
+    EDGE_2 = 3
+    VERTEX_0 = 4
+    VERTEX_1 = 5
+    VERTEX_2 = 6
+
+
+# A triangle whose height is below this share of its longest edge has no usable inside: its
+# closest point is sought on its edges, which is exact for zero area and within rounding above.
+SLIVER = 1e-9
+
+
+@njit(cache=True, nogil=True, inline="always")
+def closest_on_segment(ax, ay, az, bx, by, bz, x, y, z):  # type: ignore[no-untyped-def]
+    """Parameter t in [0, 1] of the point of a→b closest to (x, y, z), and that point."""
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    length2 = dx * dx + dy * dy + dz * dz
+    if length2 == 0.0:
+        return 0.0, ax, ay, az
+    t = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / length2
+    if t <= 0.0:
+        return 0.0, ax, ay, az
+    if t >= 1.0:
+        return 1.0, bx, by, bz
+    return t, ax + t * dx, ay + t * dy, az + t * dz
+
+
+@njit(cache=True, nogil=True)
+def closest_on_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, x, y, z):  # type: ignore[no-untyped-def]
+    """Closest point (px, py, pz), its feature code and squared distance. Any triangle will do."""
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    wx, wy, wz = cx - bx, cy - by, cz - bz
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    area2 = nx * nx + ny * ny + nz * nz
+    longest2 = max(
+        ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
+    )
+    if area2 > SLIVER * SLIVER * longest2 * longest2:
+        # Signed areas towards each edge say whether the projection on the plane is inside.
+        rx, ry, rz = x - ax, y - ay, z - az
+        sx, sy, sz = x - bx, y - by, z - bz
+        e0 = (
+            nx * (uy * rz - uz * ry) + ny * (uz * rx - ux * rz) + nz * (ux * ry - uy * rx)
+        )
+        e1 = (
+            nx * (wy * sz - wz * sy) + ny * (wz * sx - wx * sz) + nz * (wx * sy - wy * sx)
+        )
+        e2 = (
+            nx * (vz * ry - vy * rz) + ny * (vx * rz - vz * rx) + nz * (vy * rx - vx * ry)
+        )
+        if e0 > 0.0 and e1 > 0.0 and e2 > 0.0:
+            h = (nx * rx + ny * ry + nz * rz) / area2
+            return x - h * nx, y - h * ny, z - h * nz, 0, h * h * area2
+    best = np.inf
+    bpx = bpy = bpz = 0.0
+    feature = 0
+    for k in range(3):
+        if k == 0:
+            t, px, py, pz = closest_on_segment(ax, ay, az, bx, by, bz, x, y, z)
+        elif k == 1:
+            t, px, py, pz = closest_on_segment(bx, by, bz, cx, cy, cz, x, y, z)
+        else:
+            t, px, py, pz = closest_on_segment(cx, cy, cz, ax, ay, az, x, y, z)
+        d2 = (x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2
+        if d2 < best:
+            best = d2
+            bpx, bpy, bpz = px, py, pz
+            if t == 0.0:
+                feature = 4 + k
+            elif t == 1.0:
+                feature = 4 + (k + 1) % 3
+            else:
+                feature = 1 + k
+    return bpx, bpy, bpz, feature, best
+
+
+def closest_point(triangle: FloatArray, x: FloatArray) -> tuple[FloatArray, Feature, float]:
+    """Closest point (3,) of a triangle (3, 3) to x (3,), its feature and the distance [m]."""
+    a, b, c = np.asarray(triangle, dtype=np.float64).reshape(3, 3)
+    px, py, pz, feature, d2 = closest_on_triangle(*a, *b, *c, *np.asarray(x, dtype=np.float64))
+    return np.array([px, py, pz]), Feature(feature), sqrt(d2)

@@ -1,0 +1,348 @@
+"""The certified rule: planes that keep the tool off any triangle soup.
+
+Claim. Let every plane have n·x ≥ o, let every part of the mesh within the ball be strictly behind
+some plane, and let a step end at y with |y − x| ≤ radius and n·y ≥ o for all planes. Then the
+segment from x to y touches no triangle.
+Proof. x and y lie in the convex set C = ball ∩ {n·z ≥ o for all planes}, so the segment does. A
+point of the mesh in C would be in the ball and strictly behind some plane: a contradiction. ∎
+
+For a tip of radius ρ read "within ρ of the segment" for "touches": the ball searched has radius
+r + ρ and "behind" is judged against o − ρ.
+
+The planes come from one best-first walk of the PD-tree. Planes only accumulate and distances only
+grow, so what is behind a plane when it is met never needs another look.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from vf.closest import closest_on_triangle
+from vf.pdtree import box_distance2, triangle_at
+from vf.planes import Planes
+from vf.surface import Surface
+
+BUDGET = 64
+# A face plane across a valley edge must leave x this share of the triangle's distance of room.
+VALLEY_ROOM = 0.05
+# Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
+BUMP = 0.75
+# Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
+HEAP = 4096
+
+
+def certified_planes(
+    surface: Surface,
+    x: ArrayLike,
+    radius: float,
+    standoff: float = 0.0,
+    tip_radius: float = 0.0,
+) -> Planes:
+    """Separating planes for which every step that obeys them crosses no triangle.
+
+    Args:
+        surface: any triangle soup.
+        x: (3,) centre of the tool tip [m].
+        radius: of the motion sphere: how far a step may go [m].
+        standoff: how far the planes are moved from the mesh towards x, at most up to x [m].
+        tip_radius: of the spherical cutter around x [m].
+
+    Returns:
+        Planes with n·x ≥ o. `radius` is smaller than asked for where the budget of 64 planes was
+        spent; the claim then holds for that ball.
+    """
+    p = np.asarray(x, dtype=np.float64)
+    normals = np.empty((BUDGET, 3))
+    offsets = np.empty(BUDGET)
+    points = np.empty((BUDGET, 3))
+    rows = np.empty(BUDGET, dtype=np.int64)
+    rules = np.empty(BUDGET, dtype=np.int64)
+    m, valid = cover(
+        surface.tree,
+        surface.edges,
+        surface.rounding,
+        p[0],
+        p[1],
+        p[2],
+        radius,
+        standoff,
+        tip_radius,
+        normals,
+        offsets,
+        points,
+        rows,
+        rules,
+    )
+    return Planes(
+        normals[:m], offsets[:m], points[:m], surface.tree.order[rows[:m]], rules[:m], valid
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
+    i = size
+    while i > 0:
+        parent = (i - 1) >> 1
+        if keys[parent] <= key:
+            break
+        keys[i] = keys[parent]
+        items[i] = items[parent]
+        i = parent
+    keys[i] = key
+    items[i] = item
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _pop(keys, items, size):  # type: ignore[no-untyped-def]
+    """Remove the root of a heap of `size` entries (read it before)."""
+    size -= 1
+    key = keys[size]
+    item = items[size]
+    i = 0
+    while True:
+        child = 2 * i + 1
+        if child >= size:
+            break
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[i] = keys[child]
+        items[i] = items[child]
+        i = child
+    keys[i] = key
+    items[i] = item
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _box_behind(boxes, node, normals, limits, m):  # type: ignore[no-untyped-def]
+    """Whether a node's box is wholly behind one of the planes."""
+    cx, cy, cz = boxes[node, 0], boxes[node, 1], boxes[node, 2]
+    for i in range(m):
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        top = nx * cx + ny * cy + nz * cz - limits[i]
+        if top >= 0.0:
+            continue
+        for k in range(3):
+            top += boxes[node, 3 + k] * abs(
+                boxes[node, 6 + 3 * k] * nx
+                + boxes[node, 7 + 3 * k] * ny
+                + boxes[node, 8 + 3 * k] * nz
+            )
+        if top < 0.0:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-def]
+    """Part of a convex polygon with n·z ≥ limit, left in `spare`; returns its corner count."""
+    kept = 0
+    jx, jy, jz = polygon[count - 1, 0], polygon[count - 1, 1], polygon[count - 1, 2]
+    hj = nx * jx + ny * jy + nz * jz - limit
+    for i in range(count):
+        ix, iy, iz = polygon[i, 0], polygon[i, 1], polygon[i, 2]
+        hi = nx * ix + ny * iy + nz * iz - limit
+        if (hi >= 0.0) != (hj >= 0.0):
+            t = hj / (hj - hi)
+            spare[kept, 0] = jx + t * (ix - jx)
+            spare[kept, 1] = jy + t * (iy - jy)
+            spare[kept, 2] = jz + t * (iz - jz)
+            kept += 1
+        if hi >= 0.0:
+            spare[kept, 0] = ix
+            spare[kept, 1] = iy
+            spare[kept, 2] = iz
+            kept += 1
+        jx, jy, jz, hj = ix, iy, iz, hi
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def _remainder(corners, t, normals, limits, m, polygon, spare):  # type: ignore[no-untyped-def]
+    """Clip triangle t to what no plane covers: corner count, and whether it is in `spare`."""
+    for j in range(3):
+        for k in range(3):
+            polygon[j, k] = corners[t, 3 * j + k]
+    count = 3
+    swapped = False
+    for i in range(m):
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        if swapped:
+            count = _clip(spare, polygon, count, nx, ny, nz, limits[i])
+        else:
+            count = _clip(polygon, spare, count, nx, ny, nz, limits[i])
+        swapped = not swapped
+        if count == 0:
+            break
+    return count, swapped
+
+
+@njit(cache=True, nogil=True)
+def _closest_on_polygon(polygon, count, x, y, z):  # type: ignore[no-untyped-def]
+    """Closest point of a convex polygon (any corner count from 1) and its squared distance."""
+    bx = by = bz = 0.0
+    best = np.inf
+    for i in range(1, max(count - 1, 2)):
+        j = min(i, count - 1)
+        k = min(i + 1, count - 1)
+        px, py, pz, _f, d2 = closest_on_triangle(
+            polygon[0, 0],
+            polygon[0, 1],
+            polygon[0, 2],
+            polygon[j, 0],
+            polygon[j, 1],
+            polygon[j, 2],
+            polygon[k, 0],
+            polygon[k, 1],
+            polygon[k, 2],
+            x,
+            y,
+            z,
+        )
+        if d2 < best:
+            best = d2
+            bx, by, bz = px, py, pz
+    return bx, by, bz, best
+
+
+@njit(cache=True, nogil=True)
+def cover(  # type: ignore[no-untyped-def]
+    tree,
+    edges,
+    rounding,
+    x,
+    y,
+    z,
+    radius,
+    standoff,
+    tip_radius,
+    normals,
+    offsets,
+    points,
+    rows,
+    rules,
+):
+    """Fill the arrays with planes; returns their number and the radius they are valid for.
+
+    `rows` are triangles in tree order. See `certified_planes`.
+    """
+    budget = offsets.shape[0]
+    reach = radius + tip_radius
+    reach2 = reach * reach * (1.0 + 1e-9) + 1e-30
+    limits = np.empty(budget)  # a point z of the mesh is behind plane i when n·z < limits[i]
+    keys = np.empty(HEAP)
+    items = np.empty(HEAP, dtype=np.int32)  # node, or −1 − triangle
+    polygon = np.empty((budget + 4, 3))
+    spare = np.empty((budget + 4, 3))
+    m = 0
+    size = 1
+    keys[0] = box_distance2(tree.boxes, 0, x, y, z)
+    items[0] = 0
+    while size > 0:
+        d2 = keys[0]
+        item = items[0]
+        if d2 > reach2:
+            break
+        _pop(keys, items, size)
+        size -= 1
+        if item >= 0:
+            if _box_behind(tree.boxes, item, normals, limits, m):
+                continue
+            child = tree.links[item, 0]
+            first = tree.links[item, 1]
+            count = 2 if child >= 0 else tree.links[item, 2]
+            if size + count > HEAP:
+                return m, max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+            for c in range(count):
+                if child >= 0:
+                    entry = child + c
+                    e2 = box_distance2(tree.boxes, entry, x, y, z)
+                else:
+                    entry = -1 - (first + c)
+                    _px, _py, _pz, _f, e2 = triangle_at(tree.corners, first + c, x, y, z)
+                # A box's bound may round to just above its parent's triangles: never go back.
+                if e2 <= reach2:
+                    _push(keys, items, size, max(e2, d2), entry)
+                    size += 1
+            continue
+
+        t = -1 - item
+        corners_left, swapped = _remainder(
+            tree.corners, t, normals, limits, m, polygon, spare
+        )
+        if corners_left == 0:
+            continue
+        rest = spare if swapped else polygon
+        px, py, pz, rest2 = _closest_on_polygon(rest, corners_left, x, y, z)
+        if rest2 > reach2:
+            continue
+        if m == budget:
+            return m, max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+        rule, nx, ny, nz, base, px, py, pz = _separate(
+            tree, edges, t, rest, corners_left, px, py, pz, rest2, rounding, x, y, z
+        )
+        room = nx * x + ny * y + nz * z
+        if not base < room:
+            # x is on the triangle within rounding: no plane separates them, so no step is safe.
+            return m, 0.0
+        offset = base + tip_radius + standoff
+        limit = base + BUMP * standoff
+        if offset > room:
+            offset = room
+            limit = base + BUMP * max(room - tip_radius - base, 0.0)
+        normals[m, 0], normals[m, 1], normals[m, 2] = nx, ny, nz
+        offsets[m] = offset
+        limits[m] = max(limit, base + rounding)
+        points[m, 0], points[m, 1], points[m, 2] = px, py, pz
+        rows[m] = t
+        rules[m] = rule
+        m += 1
+    return m, radius
+
+
+@njit(cache=True, nogil=True)
+def _separate(tree, edges, t, rest, count, px, py, pz, rest2, rounding, x, y, z):  # type: ignore[no-untyped-def]
+    """A plane with the `rest` of triangle t behind it: rule, normal, base offset, point.
+
+    The base is the largest n·z over the corners, so it bounds the triangle whatever was rounded.
+    """
+    c = tree.corners[t]
+    qx, qy, qz, feature, d2 = triangle_at(tree.corners, t, x, y, z)
+    d = np.sqrt(d2)
+    ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+    vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    norm = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if norm > 0.0:
+        side = nx * (x - c[0]) + ny * (y - c[1]) + nz * (z - c[2])
+        scale = (1.0 if side >= 0.0 else -1.0) / norm
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        h0 = nx * c[0] + ny * c[1] + nz * c[2]
+        h1 = nx * c[3] + ny * c[4] + nz * c[5]
+        h2 = nx * c[6] + ny * c[7] + nz * c[8]
+        base = max(h0, h1, h2)
+        # A sliver's normal is noise: its corners then do not lie on the plane.
+        if base - min(h0, h1, h2) <= 8.0 * rounding:
+            s = nx * x + ny * y + nz * z - base
+            if feature == 0 and s > 0.0:
+                return 1, nx, ny, nz, base, qx, qy, qz
+            i = tree.order[t]
+            valley = False
+            if 1 <= feature <= 3:
+                valley = edges[i, feature - 1] == 1
+            elif feature >= 4:
+                valley = edges[i, feature - 4] == 1 or edges[i, (feature - 2) % 3] == 1
+            if valley and s > VALLEY_ROOM * d:
+                return 3, nx, ny, nz, base, qx, qy, qz
+    dx, dy, dz = x - px, y - py, z - pz
+    d = np.sqrt(rest2)
+    if d == 0.0:
+        return 2, 0.0, 0.0, 0.0, 0.0, px, py, pz
+    nx, ny, nz = dx / d, dy / d, dz / d
+    base = -np.inf
+    for i in range(count):
+        base = max(base, nx * rest[i, 0] + ny * rest[i, 1] + nz * rest[i, 2])
+    return 2, nx, ny, nz, base, px, py, pz

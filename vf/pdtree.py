@@ -1,0 +1,330 @@
+"""Principal-direction tree over triangles: a hierarchy of boxes turned along their content.
+
+A node is a box in the frame of the principal directions of its triangles' corners. It is split at
+the mean along the first direction; a leaf holds a handful of triangles, contiguous in tree order.
+Everything lies in flat arrays; the two children of a node are neighbours.
+
+After the covariance trees of the paper's section III-A.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vf.closest import closest_on_triangle
+from vf.planes import FloatArray, IntArray
+
+LEAF = 6
+STACK = 256  # deeper than any tree: no split is worse than 1 : 9, see `build`
+
+
+class Tree(NamedTuple):
+    """Flat arrays of a PD-tree with k nodes over m triangles.
+
+    Attributes:
+        boxes: (k, 15) centre (3), half sizes (3), rows of the rotation world → box (9).
+        links: (k, 3) first child (−1: leaf; the second child follows it), first triangle, count.
+        corners: (m, 9) corners of the triangles in tree order.
+        order: (m,) the caller's index of each triangle in tree order.
+    """
+
+    boxes: FloatArray
+    links: NDArray[np.int32]
+    corners: FloatArray
+    order: IntArray
+
+
+@njit(cache=True, nogil=True)
+def _principal(cov, axes):  # type: ignore[no-untyped-def]
+    """Rows of `axes` become the eigenvectors of the symmetric (3, 3) `cov`, largest first.
+
+    Cyclic Jacobi: exact orthogonality matters here, the last digits of the directions do not.
+    """
+    for i in range(3):
+        for j in range(3):
+            axes[i, j] = 1.0 if i == j else 0.0
+    scale = cov[0, 0] + cov[1, 1] + cov[2, 2]
+    for _ in range(8):
+        off = abs(cov[0, 1]) + abs(cov[0, 2]) + abs(cov[1, 2])
+        if off <= 1e-12 * scale:
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if cov[p, q] == 0.0:
+                    continue
+                theta = (cov[q, q] - cov[p, p]) / (2.0 * cov[p, q])
+                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(3):
+                    kp, kq = cov[k, p], cov[k, q]
+                    cov[k, p] = c * kp - s * kq
+                    cov[k, q] = s * kp + c * kq
+                for k in range(3):
+                    pk, qk = cov[p, k], cov[q, k]
+                    cov[p, k] = c * pk - s * qk
+                    cov[q, k] = s * pk + c * qk
+                for k in range(3):
+                    pk, qk = axes[p, k], axes[q, k]
+                    axes[p, k] = c * pk - s * qk
+                    axes[q, k] = s * pk + c * qk
+    for i in range(2):
+        for j in range(i + 1, 3):
+            if cov[j, j] > cov[i, i]:
+                cov[i, i], cov[j, j] = cov[j, j], cov[i, i]
+                for k in range(3):
+                    axes[i, k], axes[j, k] = axes[j, k], axes[i, k]
+
+
+@njit(cache=True, nogil=True)
+def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-untyped-def]
+    """Fill the arrays of a tree; `corners` and `centroids` are permuted along with `order`."""
+    m = order.shape[0]
+    cov = np.empty((3, 3))
+    axes = np.empty((3, 3))
+    mean = np.empty(3)
+    low = np.empty(3)
+    high = np.empty(3)
+    queue = np.empty(STACK, dtype=np.int64)
+    links[0, 1] = 0
+    links[0, 2] = m
+    nodes = 1
+    queue[0] = 0
+    waiting = 1
+    while waiting > 0:
+        waiting -= 1
+        node = queue[waiting]
+        first = links[node, 1]
+        count = links[node, 2]
+        last = first + count
+
+        for k in range(3):
+            mean[k] = 0.0
+        for t in range(first, last):
+            for j in range(9):
+                mean[j % 3] += corners[t, j]
+        for k in range(3):
+            mean[k] /= 3.0 * count
+        cxx = cxy = cxz = cyy = cyz = czz = 0.0
+        for t in range(first, last):
+            for j in range(0, 9, 3):
+                dx = corners[t, j] - mean[0]
+                dy = corners[t, j + 1] - mean[1]
+                dz = corners[t, j + 2] - mean[2]
+                cxx += dx * dx
+                cxy += dx * dy
+                cxz += dx * dz
+                cyy += dy * dy
+                cyz += dy * dz
+                czz += dz * dz
+        cov[0, 0], cov[0, 1], cov[0, 2] = cxx, cxy, cxz
+        cov[1, 0], cov[1, 1], cov[1, 2] = cxy, cyy, cyz
+        cov[2, 0], cov[2, 1], cov[2, 2] = cxz, cyz, czz
+        _principal(cov, axes)
+
+        low[:] = np.inf
+        high[:] = -np.inf
+        for t in range(first, last):
+            for j in range(0, 9, 3):
+                dx = corners[t, j] - mean[0]
+                dy = corners[t, j + 1] - mean[1]
+                dz = corners[t, j + 2] - mean[2]
+                for k in range(3):
+                    p = axes[k, 0] * dx + axes[k, 1] * dy + axes[k, 2] * dz
+                    low[k] = min(low[k], p)
+                    high[k] = max(high[k], p)
+        for k in range(3):
+            middle0 = 0.5 * (low[0] + high[0]) * axes[0, k]
+            middle1 = 0.5 * (low[1] + high[1]) * axes[1, k]
+            middle2 = 0.5 * (low[2] + high[2]) * axes[2, k]
+            boxes[node, k] = mean[k] + middle0 + middle1 + middle2
+            # Rounding of the centre and the axes must not leave a corner outside its box.
+            boxes[node, 3 + k] = 0.5 * (high[k] - low[k]) * (1.0 + 1e-12) + 1e-15 * (
+                1.0 + abs(mean[0]) + abs(mean[1]) + abs(mean[2])
+            )
+            for j in range(3):
+                boxes[node, 6 + 3 * k + j] = axes[k, j]
+
+        if count <= leaf:
+            links[node, 0] = -1
+            continue
+        dx, dy, dz = axes[0, 0], axes[0, 1], axes[0, 2]
+        split = 0.0
+        for t in range(first, last):
+            split += dx * centroids[t, 0] + dy * centroids[t, 1] + dz * centroids[t, 2]
+        split /= count
+        i, j = first, last - 1
+        while i <= j:
+            p = dx * centroids[i, 0] + dy * centroids[i, 1] + dz * centroids[i, 2]
+            if p < split:
+                i += 1
+            else:
+                for k in range(9):
+                    corners[i, k], corners[j, k] = corners[j, k], corners[i, k]
+                for k in range(3):
+                    centroids[i, k], centroids[j, k] = centroids[j, k], centroids[i, k]
+                order[i], order[j] = order[j], order[i]
+                j -= 1
+        left = i - first
+        if 10 * left < count or 10 * left > 9 * count:
+            # A lopsided mean (equal centroids, a few far triangles): sort, and cut in the middle.
+            keys = (
+                dx * centroids[first:last, 0]
+                + dy * centroids[first:last, 1]
+                + dz * centroids[first:last, 2]
+            )
+            ranks = np.argsort(keys)
+            corners[first:last] = corners[first:last][ranks]
+            centroids[first:last] = centroids[first:last][ranks]
+            order[first:last] = order[first:last][ranks]
+            left = count // 2
+        links[node, 0] = nodes
+        links[nodes, 1] = first
+        links[nodes, 2] = left
+        links[nodes + 1, 1] = first + left
+        links[nodes + 1, 2] = count - left
+        queue[waiting] = nodes + 1
+        queue[waiting + 1] = nodes
+        waiting += 2
+        nodes += 2
+    return nodes
+
+
+def build(vertices: FloatArray, faces: IntArray, leaf: int = LEAF) -> Tree:
+    """PD-tree of the triangles `faces` (m, 3) over `vertices` (n, 3) [m]."""
+    m = len(faces)
+    corners = np.ascontiguousarray(vertices[faces].reshape(m, 9))
+    centroids = (corners[:, 0:3] + corners[:, 3:6] + corners[:, 6:9]) / 3.0
+    boxes = np.empty((2 * m, 15))
+    links = np.empty((2 * m, 3), dtype=np.int32)
+    order = np.arange(m, dtype=np.int64)
+    nodes = _build(corners, centroids, boxes, links, order, leaf)
+    return Tree(boxes[:nodes].copy(), links[:nodes].copy(), corners, order)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def box_distance2(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
+    """Squared distance of a point to the box of a node (0 inside)."""
+    dx, dy, dz = x - boxes[node, 0], y - boxes[node, 1], z - boxes[node, 2]
+    d2 = 0.0
+    for k in range(3):
+        p = (
+            boxes[node, 6 + 3 * k] * dx
+            + boxes[node, 7 + 3 * k] * dy
+            + boxes[node, 8 + 3 * k] * dz
+        )
+        e = abs(p) - boxes[node, 3 + k]
+        if e > 0.0:
+            d2 += e * e
+    return d2
+
+
+@njit(cache=True, nogil=True, inline="always")
+def triangle_at(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+    """`closest_on_triangle` for row t of tree-ordered corners."""
+    return closest_on_triangle(
+        corners[t, 0],
+        corners[t, 1],
+        corners[t, 2],
+        corners[t, 3],
+        corners[t, 4],
+        corners[t, 5],
+        corners[t, 6],
+        corners[t, 7],
+        corners[t, 8],
+        x,
+        y,
+        z,
+    )
+
+
+@njit(cache=True, nogil=True)
+def within(tree, x, y, z, radius, triangles, points, features, distances):  # type: ignore[no-untyped-def]
+    """Every triangle cut by the closed ball: rows written up to the arrays' length.
+
+    Returns the number found, which may exceed the arrays' length: then call again with longer ones.
+    Triangles come out as the caller's indices, in tree order.
+    """
+    stack = np.empty(STACK, dtype=np.int32)
+    r2 = radius * radius
+    # Boxes are kept up to a hair beyond the ball: the exact test is the triangle's.
+    reach2 = r2 * (1.0 + 1e-9) + 1e-30
+    stack[0] = 0
+    depth = 1
+    found = 0
+    room = triangles.shape[0]
+    while depth > 0:
+        depth -= 1
+        node = stack[depth]
+        if box_distance2(tree.boxes, node, x, y, z) > reach2:
+            continue
+        child = tree.links[node, 0]
+        if child >= 0:
+            stack[depth] = child + 1
+            stack[depth + 1] = child
+            depth += 2
+            continue
+        first = tree.links[node, 1]
+        for t in range(first, first + tree.links[node, 2]):
+            px, py, pz, feature, d2 = triangle_at(tree.corners, t, x, y, z)
+            if d2 <= r2:
+                if found < room:
+                    triangles[found] = tree.order[t]
+                    points[found, 0] = px
+                    points[found, 1] = py
+                    points[found, 2] = pz
+                    features[found] = feature
+                    distances[found] = np.sqrt(d2)
+                found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def nearest(tree, x, y, z, limit):  # type: ignore[no-untyped-def]
+    """Nearest triangle within `limit`: squared distance (inf: none), row in tree order, point."""
+    stack = np.empty(STACK, dtype=np.int32)
+    lower = np.empty(STACK)
+    best = limit * limit if limit < 1e150 else np.inf
+    row = -1
+    bx = by = bz = 0.0
+    stack[0] = 0
+    lower[0] = box_distance2(tree.boxes, 0, x, y, z)
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        if lower[depth] > best:
+            continue
+        node = stack[depth]
+        child = tree.links[node, 0]
+        if child >= 0:
+            d0 = box_distance2(tree.boxes, child, x, y, z)
+            d1 = box_distance2(tree.boxes, child + 1, x, y, z)
+            near, far = child, child + 1
+            if d1 < d0:
+                d0, d1 = d1, d0
+                near, far = far, near
+            if d1 <= best:
+                stack[depth] = far
+                lower[depth] = d1
+                depth += 1
+            if d0 <= best:
+                stack[depth] = near
+                lower[depth] = d0
+                depth += 1
+            continue
+        first = tree.links[node, 1]
+        for t in range(first, first + tree.links[node, 2]):
+            px, py, pz, _feature, d2 = triangle_at(tree.corners, t, x, y, z)
+            if d2 < best or (d2 == best and row < 0):
+                best = d2
+                row = t
+                bx, by, bz = px, py, pz
+    if row < 0:
+        best = np.inf
+    return best, row, bx, by, bz

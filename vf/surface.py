@@ -1,0 +1,293 @@
+"""The anatomy: an immutable triangle mesh with adjacency, edge kinds and its PD-tree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from vf import pdtree
+from vf.planes import FloatArray, IntArray
+from vf.winding import Moments, moments, winding_number
+
+
+class Edge(IntEnum):
+    """What lies across an edge of a face (design: the sign of N_a · (w_i − p_e))."""
+
+    RIDGE = 0  # locally convex: the two half-spaces form a union
+    VALLEY = 1  # locally concave: the two half-spaces intersect
+    FLAT = 2  # coplanar within rounding, or the neighbour has no usable normal
+    BOUNDARY = 3  # no neighbour
+    NON_MANIFOLD = 4  # more than one neighbour
+
+
+# Sine of the dihedral angle below which an edge is flat.
+FLAT_SINE = 1e-9
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Triangles cut by a closed ball, one row each, in no particular order.
+
+    Attributes:
+        triangles: (k,) faces, the caller's indices.
+        points: (k, 3) closest points to the centre [m].
+        features: (k,) values of `vf.Feature`.
+        distances: (k,) [m].
+    """
+
+    triangles: IntArray
+    points: FloatArray
+    features: NDArray[np.int8]
+    distances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+
+class Surface:
+    """A triangle mesh as the fixtures see it. Nothing is welded, re-ordered or repaired.
+
+    All arrays are read-only, so a surface may be queried from any number of threads.
+
+    Attributes:
+        vertices: (n, 3) float64 [m].
+        faces: (m, 3) int64, in the caller's order.
+        normals: (m, 3) unit normals by the right-hand rule; zero for faces without area.
+        neighbours: (m, 3) int32 face across the edge from corner k to k+1; −1 none, −2 several.
+        edges: (m, 3) int8 values of `Edge`.
+        tree: the `pdtree.Tree`.
+        size: diagonal of the bounding box [m].
+        median_edge: [m].
+        rounding: bound on the rounding error of n·z for points z of the mesh's size [m].
+    """
+
+    def __init__(
+        self,
+        vertices: FloatArray,
+        faces: IntArray,
+        progress: Callable[[str], None] | None = None,
+    ) -> None:
+        say = progress or (lambda _stage: None)
+        self.vertices = vertices
+        self.faces = faces
+        self.size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        self.rounding = 1e-14 * float(np.abs(vertices).max()) + 1e-300
+        say("normals")
+        self.normals = np.empty((len(faces), 3))
+        lengths = np.empty((len(faces), 3))
+        _normals(vertices, faces, self.normals, lengths)
+        self.median_edge = float(np.median(lengths))
+        say("neighbours")
+        self.neighbours, self.edges = _adjacency(vertices, faces, self.normals)
+        say("PD-tree")
+        self.tree = pdtree.build(vertices, faces)
+        # Kernels that start from a row of the tree want the row's face and the other way round.
+        for array in (
+            self.vertices, self.faces, self.normals, self.neighbours, self.edges, *self.tree
+        ):  # fmt: skip
+            array.flags.writeable = False
+
+    @staticmethod
+    def from_arrays(
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        progress: Callable[[str], None] | None = None,
+    ) -> Surface:
+        """Surface over copies of `vertices` (n, 3) [m] and `faces` (m, 3).
+
+        Args:
+            progress: called with the name of each stage of the work.
+
+        Raises:
+            ValueError: wrong shapes, non-finite vertices, no faces, indices out of range.
+        """
+        v = np.array(vertices, dtype=np.float64, order="C")
+        f_in = np.asarray(faces)
+        if v.ndim != 2 or v.shape[1] != 3:
+            raise ValueError(f"vertices must have shape (n, 3), got {v.shape}")
+        if f_in.ndim != 2 or f_in.shape[1] != 3:
+            raise ValueError(f"faces must have shape (m, 3), got {f_in.shape}: triangles only")
+        if len(f_in) == 0:
+            raise ValueError("a surface needs at least one face, got 0")
+        if not np.issubdtype(f_in.dtype, np.integer):
+            raise ValueError(f"faces must be integers, got {f_in.dtype}")
+        f = np.array(f_in, dtype=np.int64, order="C")
+        if f.min() < 0 or f.max() >= len(v):
+            bad = f.min() if f.min() < 0 else f.max()
+            raise ValueError(f"face index {bad} out of range: vertices are 0 … {len(v) - 1}")
+        if not np.isfinite(v).all():
+            row = int(np.argmin(np.isfinite(v).all(axis=1)))
+            raise ValueError(f"vertex {row} is not finite: {v[row]}")
+        return Surface(v, f, progress)
+
+    def __repr__(self) -> str:
+        return f"Surface({len(self.faces):,} triangles, {len(self.vertices):,} vertices)"
+
+    def within(self, x: ArrayLike, radius: float) -> Contacts:
+        """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
+        p = _point(x)
+        room = 256
+        while True:
+            triangles = np.empty(room, dtype=np.int64)
+            points = np.empty((room, 3))
+            features = np.empty(room, dtype=np.int8)
+            distances = np.empty(room)
+            k = pdtree.within(
+                self.tree, p[0], p[1], p[2], radius, triangles, points, features, distances
+            )
+            if k <= room:
+                return Contacts(triangles[:k], points[:k], features[:k], distances[:k])
+            room = k
+
+    def nearest(self, x: ArrayLike, limit: float = np.inf) -> tuple[float, int, FloatArray]:
+        """Distance [m], face and closest point (3,) of the nearest triangle.
+
+        Beyond `limit` [m] the answer is (inf, −1, x).
+        """
+        p = _point(x)
+        d2, row, px, py, pz = pdtree.nearest(self.tree, p[0], p[1], p[2], limit)
+        if row < 0:
+            return np.inf, -1, p
+        return sqrt(d2), int(self.tree.order[row]), np.array([px, py, pz])
+
+    @cached_property
+    def _solid(self) -> tuple[bool, Moments]:
+        first, closed = _closedness(self.vertices, self.faces)
+        return closed, moments(self.tree, first)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the surface encloses volume: only then does it have an inside.
+
+        Corners at equal coordinates count as one and repeated faces as one; the surface is closed
+        when every edge then has an even number of faces. Winding does not matter.
+        """
+        return self._solid[0]
+
+    def winding(self, x: ArrayLike) -> float:
+        """Generalised winding number of the surface around x (3,), repeated faces counted once."""
+        p = _point(x)
+        return float(winding_number(self.tree, self._solid[1], p[0], p[1], p[2]))
+
+    def inside(self, x: ArrayLike) -> bool:
+        """Whether x (3,) is inside: |winding number| > ½, and only if the surface is closed.
+
+        An open surface has no inside to be sure of (a vessel's lumen is free space), so there the
+        answer is False and the fixtures guard it from both sides.
+        """
+        return self.closed and abs(self.winding(x)) > 0.5
+
+
+def _point(x: ArrayLike) -> FloatArray:
+    p = np.asarray(x, dtype=np.float64)
+    if p.shape != (3,) or not np.isfinite(p).all():
+        raise ValueError(f"a point must be three finite numbers, got {x!r}")
+    return p
+
+
+@njit(cache=True, nogil=True)
+def _normals(vertices, faces, normals, lengths):  # type: ignore[no-untyped-def]
+    """Unit normals (zero without area) and the three edge lengths of every face."""
+    for i in range(faces.shape[0]):
+        a, b, c = vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        norm = np.sqrt(nx * nx + ny * ny + nz * nz)
+        scale = 1.0 / norm if norm > 0.0 else 0.0
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx * scale, ny * scale, nz * scale
+        lengths[i, 0] = np.sqrt(ux * ux + uy * uy + uz * uz)
+        lengths[i, 1] = np.sqrt(wx * wx + wy * wy + wz * wz)
+        lengths[i, 2] = np.sqrt(vx * vx + vy * vy + vz * vz)
+
+
+def edge_keys(faces: IntArray, vertices: int) -> IntArray:
+    """One integer per edge (3m,), the same for both directions, faces' edges in a row."""
+    tail = faces.ravel()
+    head = faces[:, [1, 2, 0]].ravel()
+    return np.minimum(tail, head) * np.int64(vertices) + np.maximum(tail, head)
+
+
+def _adjacency(
+    vertices: FloatArray, faces: IntArray, normals: FloatArray
+) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+    keys = edge_keys(faces, len(vertices))
+    rank = np.argsort(keys, kind="stable")
+    neighbours = np.empty((len(faces), 3), dtype=np.int32)
+    kinds = np.empty((len(faces), 3), dtype=np.int8)
+    _link(keys, rank, vertices, faces, normals, neighbours, kinds)
+    return neighbours, kinds
+
+
+@njit(cache=True, nogil=True)
+def _link(keys, rank, vertices, faces, normals, neighbours, kinds):  # type: ignore[no-untyped-def]
+    """Neighbour and kind of every edge from the sorted edge table."""
+    count = keys.shape[0]
+    i = 0
+    while i < count:
+        j = i + 1
+        while j < count and keys[rank[j]] == keys[rank[i]]:
+            j += 1
+        if j - i == 2:
+            e, g = rank[i], rank[i + 1]
+            _pair(e, g, vertices, faces, normals, neighbours, kinds)
+            _pair(g, e, vertices, faces, normals, neighbours, kinds)
+        else:
+            for k in range(i, j):
+                e = rank[k]
+                neighbours[e // 3, e % 3] = -1 if j - i == 1 else -2
+                kinds[e // 3, e % 3] = 3 if j - i == 1 else 4
+        i = j
+
+
+@njit(cache=True, nogil=True)
+def _pair(e, g, vertices, faces, normals, neighbours, kinds):  # type: ignore[no-untyped-def]
+    """Half-edge e (face 3·i + k) learns of the face behind half-edge g."""
+    i, k = e // 3, e % 3
+    a = g // 3
+    neighbours[i, k] = a
+    p = vertices[faces[i, k]]
+    w = vertices[faces[i, (k + 2) % 3]]
+    dx, dy, dz = w[0] - p[0], w[1] - p[1], w[2] - p[2]
+    side = normals[a, 0] * dx + normals[a, 1] * dy + normals[a, 2] * dz
+    # The sine of the angle is that height of w over the neighbour's plane per height over the edge.
+    q = vertices[faces[i, (k + 1) % 3]]
+    ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    along = ex * ex + ey * ey + ez * ez
+    height2 = dx * dx + dy * dy + dz * dz
+    if along > 0.0:
+        height2 -= (dx * ex + dy * ey + dz * ez) ** 2 / along
+    flat = FLAT_SINE * np.sqrt(max(height2, 0.0)) + 1e-300
+    if side > flat:
+        kinds[i, k] = 1
+    elif side < -flat:
+        kinds[i, k] = 0
+    else:
+        kinds[i, k] = 2
+
+
+def _closedness(vertices: FloatArray, faces: IntArray) -> tuple[NDArray[np.bool_], bool]:
+    """(m,) whether a face is the first of its kind and has three corners, and closedness."""
+    # Adding zero turns −0.0 into 0.0, which is the same place.
+    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()
+    _, place = np.unique(rows, return_inverse=True)
+    corners = np.sort(place.reshape(-1)[faces], axis=1)
+    proper = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
+    rank = np.lexsort(corners.T)
+    ranked = corners[rank]
+    repeated = np.zeros(len(faces), dtype=bool)
+    repeated[rank[1:]] = (ranked[1:] == ranked[:-1]).all(axis=1)
+    first = proper & ~repeated
+    if not first.any():
+        return first, False
+    keys = np.sort(edge_keys(np.ascontiguousarray(corners[first]), len(vertices)))
+    starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+    return first, bool((np.diff(np.r_[starts, len(keys)]) % 2 == 0).all())
