@@ -1,0 +1,158 @@
+"""A scripted hand: approaches the anatomy, pokes it, slides over it, lifts off and circles.
+
+The path is built once from the surface and is a function of time from then on, so that a demo, a
+test and a replay see the same proxy to the bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import vf
+
+FloatArray = NDArray[np.float64]
+
+SPEED = 0.08  # highest speed of the proxy [m/s]; a surgeon's hand stays below 0.1
+HOVER = 0.006  # height above the surface between actions [m]
+DEPTH = 0.003  # how far below the surface the proxy pokes and slides [m]
+DWELL = 0.4  # rest at the bottom of a poke [s]
+SPOTS = 4
+_PEAK = 1.875  # peak over mean speed of a minimum-jerk motion
+
+
+@dataclass(frozen=True)
+class Autopilot:
+    """A closed tour of the proxy's position; the orientation stays the tool's neutral one.
+
+    Attributes:
+        rotation: (3, 3) of every pose, arm base frame.
+        starts: (k + 1,) time at which each leg starts, the last one is the tour's duration [s].
+        legs: k polylines (m, 3), arm base frame [m]; each is run through from rest to rest.
+        arcs: k cumulative lengths (m,) along the polylines [m].
+    """
+
+    rotation: FloatArray
+    starts: FloatArray
+    legs: tuple[FloatArray, ...]
+    arcs: tuple[FloatArray, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time of one tour, after which it starts over [s]."""
+        return float(self.starts[-1])
+
+    def pose(self, time: float) -> pin.SE3:
+        """The proxy a time ≥ 0 [s] after the start, arm base frame."""
+        time = time % self.duration
+        k = min(int(np.searchsorted(self.starts, time, side="right")) - 1, len(self.legs) - 1)
+        u = (time - self.starts[k]) / (self.starts[k + 1] - self.starts[k])
+        # Minimum jerk along the arc: no kink in speed where legs meet.
+        s = self.arcs[k][-1] * u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
+        leg, arc = self.legs[k], self.arcs[k]
+        position = np.array([np.interp(s, arc, leg[:, i]) for i in range(3)])
+        return pin.SE3(self.rotation, position)
+
+
+def plan(surface: vf.Surface, T_base_tip: pin.SE3) -> Autopilot:
+    """A tour over the upper side of a surface that starts and ends at the given tip pose.
+
+    Args:
+        surface: the anatomy, arm base frame, below (−z) the tip.
+        T_base_tip: the tool's neutral pose.
+    """
+    start = np.array(T_base_tip.translation)
+    spots = _spots(surface, start)
+    up = np.array([0.0, 0.0, 1.0])
+    ceiling = max(float(spots[:, 2].max()) + HOVER, float(start[2]))
+    legs: list[FloatArray] = []
+    here = start
+    for index, spot in enumerate(spots):
+        above, below = spot + HOVER * up, spot - DEPTH * up
+        # Travel at the height of the start: the way between two spots may lead over a peak.
+        legs.append(np.array([here, [*here[:2], ceiling], [*above[:2], ceiling], above]))
+        legs.append(np.array([above, below]))
+        legs.append(np.array([below, below]))
+        here = below
+        if index + 1 < len(spots):
+            slide = _slide(surface, spot, spots[index + 1], ceiling) - DEPTH * up
+            legs.append(slide)
+            here = slide[-1]
+        lifted = np.array([here[0], here[1], here[2] + DEPTH + HOVER])
+        legs.append(np.array([here, lifted]))
+        here = lifted
+    legs.append(_circle(here, spots.mean(axis=0) - DEPTH * up))
+    here = legs[-1][-1]
+    legs.append(np.array([here, [here[0], here[1], ceiling], start]))
+
+    arcs = [np.concatenate([[0.0], np.cumsum(_lengths(leg))]) for leg in legs]
+    times = [max(_PEAK * arc[-1] / SPEED, DWELL) for arc in arcs]
+    for array in (*legs, *arcs):
+        array.flags.writeable = False
+    starts = np.concatenate([[0.0], np.cumsum(times)])
+    return Autopilot(np.array(T_base_tip.rotation), starts, tuple(legs), tuple(arcs))
+
+
+def _spots(surface: vf.Surface, start: FloatArray) -> FloatArray:
+    """Up to SPOTS points (k, 3) on the upper side, spread around below the start."""
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    reach = min(0.4 * float((high - low)[:2].min()), 0.03)
+    ceiling = max(float(high[2]), float(start[2])) + 1e-3
+    found = []
+    for k in range(24):
+        # A sunflower spiral covers the disc evenly, from its centre outwards.
+        distance, angle = reach * np.sqrt(k / 23), k * np.pi * (3.0 - np.sqrt(5.0))
+        xy = start[:2] + distance * np.array([np.cos(angle), np.sin(angle)])
+        point = _below(surface, xy, ceiling, float(low[2]) - 1e-3)
+        if point is not None:
+            found.append(point)
+    if not found:
+        return np.array([surface.nearest(start)[2]])
+    chosen = np.linspace(0, len(found) - 1, min(SPOTS, len(found))).round().astype(int)
+    return np.array([found[k] for k in chosen])
+
+
+def _below(
+    surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float
+) -> FloatArray | None:
+    """The highest point (3,) of the surface on the vertical through xy, if there is one."""
+    top, bottom = np.array([*xy, ceiling]), np.array([*xy, floor])
+    triangle = surface.crossing(top, bottom)
+    if triangle < 0:
+        return None
+    corner = surface.vertices[surface.faces[triangle][0]]
+    normal = surface.normals[triangle]
+    slope = float(normal @ (bottom - top))
+    if slope == 0.0:
+        return None
+    t = float(normal @ (corner - top)) / slope
+    return top + min(max(t, 0.0), 1.0) * (bottom - top)
+
+
+def _slide(
+    surface: vf.Surface, a: FloatArray, b: FloatArray, ceiling: float, points: int = 40
+) -> FloatArray:
+    """From a to b along the upper side, (points, 3); straight where there is nothing below."""
+    line = np.linspace(a, b, points)
+    floor = float(surface.vertices[:, 2].min()) - 1e-3
+    top = max(ceiling, float(surface.vertices[:, 2].max())) + 1e-3
+    for k in range(1, points - 1):
+        hit = _below(surface, line[k, :2], top, floor)
+        # Not down into deep holes: the slide would become a dive.
+        if hit is not None and abs(hit[2] - line[k, 2]) < 0.02:
+            line[k] = hit
+    return line
+
+
+def _circle(start: FloatArray, centre: FloatArray, points: int = 73) -> FloatArray:
+    """From the start down to a circle about the centre, 4 mm in radius, and once around."""
+    angle = np.linspace(0.0, 2.0 * np.pi, points)
+    ring = centre + 0.004 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    return np.vstack([start, ring])
+
+
+def _lengths(leg: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(np.diff(leg, axis=0), axis=1))

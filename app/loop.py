@@ -1,0 +1,198 @@
+"""The control thread: ticks at absolute deadlines, counts what it misses, never catches up."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import logging
+import sys
+import threading
+import time
+
+import numpy as np
+
+import vf
+from app.engine import Engine, Orders
+from app.mailbox import Mailbox
+from app.messages import LoopStats, Telemetry
+
+log = logging.getLogger(__name__)
+
+SUMMARIES = 4  # of the statistics, per second
+# A thread that wants the interpreter waits this long before it asks the owner to let go [s].
+# CPython's default of 5 ms is five ticks.
+SWITCH_INTERVAL = 1e-4
+
+
+class ControlLoop:
+    """Runs an `Engine` in its own thread: orders come from one mailbox, telemetry goes to another.
+
+    A tick that ends after the next deadline is an overrun; the next deadline is then counted
+    from that moment, so time lost is lost and never made up by faster ticks.
+    """
+
+    def __init__(
+        self, orders: Mailbox[Orders], telemetry: Mailbox[Telemetry], dt: float
+    ) -> None:
+        first = orders.get()
+        if first is None:
+            raise ValueError("the loop needs orders to start from")
+        self._orders = orders
+        self._telemetry = telemetry
+        self._dt = dt
+        self._engine = Engine(first)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="control")
+        self._clock = _Clock(dt)
+        telemetry.put(self._engine.look(first, self._clock.stats))
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Start the thread; it ticks until `close`."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop and wait for the thread. Safe to call twice, or before `start`."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        _fine_timer()
+        with _quiet_interpreter():
+            try:
+                self._loop()
+            except Exception:
+                # Not the tick (its errors end in HELD) but this loop itself.
+                log.exception("the control thread stopped")
+                raise
+
+    def _loop(self) -> None:
+        engine, clock, dt = self._engine, self._clock, self._dt
+        now = time.perf_counter
+        deadline = now() + dt
+        while not self._stop.is_set():
+            pause = deadline - now()
+            if pause > 0.0:
+                # Sleeping to the deadline, without a spin: with the timer's slack reduced a wake-up
+                # is 10-20 µs late, and a spin would keep the interpreter from the page's threads.
+                time.sleep(pause)
+            started = now()
+            orders = self._orders.get()
+            assert orders is not None
+            telemetry, ticked = engine.advance(orders, clock.stats)
+            self._telemetry.put(telemetry)
+            ended = now()
+            late = deadline + dt
+            if ticked:
+                status = telemetry.step.status if telemetry.step else vf.Status.HELD
+                clock.record(status, started, started - deadline, ended - started, ended > late)
+            else:
+                clock.skip(started)
+            deadline = late if ended <= late else ended
+            if ended > late:
+                time.sleep(0)  # let others have the interpreter even when every tick is late
+
+
+class _Clock:
+    """Timing of the last second in preallocated rings; a summary a few times a second."""
+
+    def __init__(self, dt: float) -> None:
+        size = max(10, round(1.0 / dt))
+        self.stats = LoopStats()
+        self._spent = np.zeros(size)  # [s]
+        self._late = np.zeros(size)  # [s]
+        self._starts = np.zeros(size)  # [s]
+        self._filled = 0
+        self._next = 0
+        self._overruns = 0
+        self._counts = dict.fromkeys(vf.Status, 0)
+        self._due = 0.0
+        self._idle = False
+
+    def record(
+        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
+    ) -> None:
+        """Note one tick; times in seconds of the monotonic clock."""
+        if self._idle:
+            # What was measured before a pause says nothing about the rate after it.
+            self._idle = False
+            self._filled = self._next = 0
+        k = self._next
+        self._spent[k], self._late[k], self._starts[k] = spent, late, started
+        self._next = (k + 1) % len(self._spent)
+        self._filled = min(self._filled + 1, len(self._spent))
+        self._overruns += overrun
+        self._counts[status] += 1
+        if started >= self._due:
+            self._due = started + 1.0 / SUMMARIES
+            self._summarise()
+
+    def skip(self, started: float) -> None:
+        """Note a period without a tick (paused)."""
+        if not self._idle or started >= self._due:
+            self._idle = True
+            self._due = started + 1.0 / SUMMARIES
+            self._summarise()
+
+    def _summarise(self) -> None:
+        n = self._filled
+        if n == 0:
+            self.stats = LoopStats(overruns=self._overruns, counts=dict(self._counts))
+            return
+        spent, late = self._spent[:n], self._late[:n]
+        newest = self._starts[self._next - 1]
+        oldest = self._starts[self._next % n]
+        k = int(0.99 * (n - 1))
+        self.stats = LoopStats(
+            rate=float((n - 1) / (newest - oldest)) if newest > oldest else 0.0,
+            tick_median=float(np.partition(spent, n // 2)[n // 2]),
+            tick_worst=float(spent.max()),
+            late_p99=float(np.partition(late, k)[k]),
+            late_worst=float(late.max()),
+            overruns=self._overruns,
+            counts=dict(self._counts),
+        )
+
+
+class _quiet_interpreter(contextlib.ContextDecorator):
+    """Keeps Python's own housekeeping out of the ticks while a control loop runs."""
+
+    _lock = threading.Lock()
+    _users = 0
+    _interval = 5e-3
+
+    def __enter__(self) -> None:
+        cls = _quiet_interpreter
+        with cls._lock:
+            cls._users += 1
+            if cls._users == 1:
+                cls._interval = sys.getswitchinterval()
+                sys.setswitchinterval(SWITCH_INTERVAL)
+                # A full collection walks every object of numba, viser and Pinocchio with the
+                # interpreter held, for tens of milliseconds, whichever thread sets it off. Frozen
+                # objects are not walked; new garbage is still collected, so nothing piles up.
+                gc.collect()
+                gc.freeze()
+
+    def __exit__(self, *error: object) -> None:
+        cls = _quiet_interpreter
+        with cls._lock:
+            cls._users -= 1
+            if cls._users == 0:
+                gc.unfreeze()
+                sys.setswitchinterval(cls._interval)
+
+
+def _fine_timer() -> None:
+    """Ask Linux to wake this thread within a microsecond of its time, not its usual 50."""
+    if not sys.platform.startswith("linux"):
+        return
+    PR_SET_TIMERSLACK = 29
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1000), 0, 0, 0)

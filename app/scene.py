@@ -1,0 +1,206 @@
+"""What stands in the room: an arm and a mesh placed in front of it, ready to be used."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import meshes
+import robots
+import vf
+from app.autopilot import Autopilot, plan
+from app.engine import Plant, is_free
+from app.settings import Options
+from robots import Arm
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The anatomy and the arm, as the view needs them; never changed once made.
+
+    Attributes:
+        version: grows with every change of mesh or robot; `Telemetry.scene` refers to it.
+        mesh_name: catalogue name, or the file's name.
+        surface: the full mesh the control works on, arm base frame.
+        vertices_shown, faces_shown: what to draw: the mesh, or a decimated copy of it.
+        decimated: whether what is drawn is a decimated copy.
+        robot: name of the arm.
+        arm: an arm for the view's thread alone (the controller has its own).
+        notes: what the user should know about this mesh, one sentence each.
+        start: (n,) joints the tool starts from and is reset to, its tip in free space.
+        T_base_start: the tip at `start`.
+        autopilot: the scripted tour over this mesh.
+    """
+
+    version: int
+    mesh_name: str
+    surface: vf.Surface
+    vertices_shown: FloatArray
+    faces_shown: NDArray[np.int64]
+    decimated: bool
+    robot: str
+    arm: Arm
+    notes: tuple[str, ...]
+    start: FloatArray
+    T_base_start: pin.SE3
+    autopilot: Autopilot
+
+
+def build(options: Options, version: int, progress: Progress | None = None) -> Scene:
+    """Load arm and mesh, place the mesh under the tool, index it, find a free start.
+
+    Takes up to some seconds for large meshes; touches nothing that runs.
+
+    Args:
+        progress: called with a few words before each step.
+
+    Raises:
+        ValueError: unknown robot, unusable mesh (`meshes.MeshError`) or no free spot for the
+            tool; the message gives the reason and the valid choices.
+    """
+    say = progress or (lambda _text: None)
+    say(f"loading the robot {options.robot}")
+    arm = robots.load(options.robot)
+    T_base_tip = arm.tip(arm.neutral)
+
+    say(f"loading the mesh {options.mesh}")
+    notes: list[str] = []
+    with _caught_warnings() as caught:
+        vertices, faces = meshes.arrays(options.mesh, unit=options.unit)
+    notes += [str(warning.message) for warning in caught]
+    vertices = meshes.place(vertices, T_base_tip)
+
+    say(f"building the tree of {len(faces):,} triangles")
+    surface = vf.Surface.from_arrays(vertices, faces)
+    if not surface.closed:
+        notes.append("The mesh is open: it has no inside, so it is guarded from both sides.")
+
+    say("preparing the picture")
+    shown, faces_shown, decimated = meshes.display(vertices, faces)
+    if decimated:
+        notes.append(
+            f"Shown with {len(faces_shown):,} triangles; "
+            f"the control uses all {len(faces):,} of them."
+        )
+
+    say("finding a free start for the tool")
+    start = free_start(arm, surface, clearance(options))
+    T_base_start = arm.tip(start)
+    return Scene(
+        version=version,
+        mesh_name=Path(options.mesh).name,
+        surface=surface,
+        vertices_shown=_read_only(shown),
+        faces_shown=_read_only(faces_shown),
+        decimated=decimated,
+        robot=arm.name,
+        arm=arm,
+        notes=tuple(notes),
+        start=_read_only(start),
+        T_base_start=T_base_start,
+        autopilot=plan(surface, T_base_start),
+    )
+
+
+def plant(scene: Scene, options: Options) -> Plant:
+    """A controller for this scene with these settings, ready to tick (milliseconds once warm)."""
+    arm = scene.arm.copy()
+    fixture = vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
+    settings = vf.Settings(
+        dt=options.dt,
+        standoff=options.standoff,
+        tip_radius=options.tip_radius,
+        force_gain=options.force_gain,
+    )
+    controller = vf.Controller(arm, [fixture], settings)
+    controller.warm_up()
+    return Plant(
+        arm=arm,
+        controller=controller,
+        q0=scene.start,
+        surface=scene.surface,
+        clearance=clearance(options),
+        scene=scene.version,
+        dt=options.dt,
+        stale_after=options.stale_after,
+        autopilot=scene.autopilot,
+    )
+
+
+def clearance(options: Options) -> float:
+    """Distance from the surface beyond which a tip is in free space [m]."""
+    return options.standoff + options.tip_radius
+
+
+def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:
+    """Joints (n,) whose tip is outside the anatomy and clear of it: the neutral ones if they are.
+
+    Otherwise ever larger displacements upwards and sideways are tried.
+
+    Raises:
+        ValueError: there is no such spot within the arm's reach.
+    """
+    neutral = arm.tip(arm.neutral)
+    q = np.array(arm.neutral)
+    if is_free(surface, neutral.translation, clearance):
+        return q
+    for displacement in _displacements(surface.size):
+        pose = pin.SE3(neutral.rotation, neutral.translation + displacement)
+        if not is_free(surface, pose.translation, clearance):
+            continue
+        try:
+            q = arm.inverse(pose, start=arm.neutral)
+        except robots.Unreachable:
+            continue
+        # An arm may meet the pose only nearly, or ignore its rotation: ask where the tip really is.
+        if is_free(surface, arm.tip(q).translation, clearance):
+            return np.array(q)
+    raise ValueError(
+        f"no free spot for the tool of {arm.name}: the mesh fills its workspace "
+        f"(size {surface.size * 1e3:.0f} mm; is the unit right?)"
+    )
+
+
+def _displacements(size: float) -> Iterator[FloatArray]:
+    sideways = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(8) * np.pi / 4]
+    up = np.array([0.0, 0.0, 1.0])
+    directions = [up, *(d + up for d in sideways), *sideways, *(d - up for d in sideways), -up]
+    for distance in np.geomspace(1e-3, max(2.0 * size, 2e-3), 24):
+        for direction in directions:
+            yield distance * direction / np.linalg.norm(direction)
+
+
+class _caught_warnings:
+    """Collects warnings. Python's own collector is not thread-safe, so one thread at a time."""
+
+    _lock = threading.Lock()
+
+    def __enter__(self) -> list[warnings.WarningMessage]:
+        self._lock.acquire()
+        self._catcher = warnings.catch_warnings(record=True)
+        caught = self._catcher.__enter__()
+        warnings.simplefilter("always", UserWarning)
+        return caught
+
+    def __exit__(self, *error: Any) -> None:
+        try:
+            self._catcher.__exit__(*error)
+        finally:
+            self._lock.release()
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array = np.array(array)
+    array.flags.writeable = False
+    return array

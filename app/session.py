@@ -1,0 +1,339 @@
+"""One running sandbox: owns arm, scene, fixture, controller and loop; what a view talks to."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+
+import numpy as np
+import pinocchio as pin
+
+import vf
+from app import scene as scenes
+from app.engine import Orders
+from app.loop import ControlLoop
+from app.mailbox import Mailbox
+from app.messages import Command, Telemetry
+from app.scene import Progress, Scene
+from app.settings import OptionError, Options, check_names, in_range
+from app.teleop import latch
+
+FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
+
+
+class Refused(ValueError):
+    """Input that is not acted upon; the message says why. What went on before goes on."""
+
+
+class Session:
+    """A sandbox with its control thread. Every method may be called from any thread.
+
+    The operator moves a handle (the page's gizmo); teleoperation maps it to the proxy, which is
+    the goal of the tool. With scale 1 and no clutch the two are the same. All poses are in the
+    arm's base frame.
+
+    Attributes:
+        scene: the present `Scene`; replaced as a whole by `change`.
+        options: the present `Options`, with the values really in force.
+        handle: the handle's present pose: where the gizmo belongs when nobody drags it.
+    """
+
+    def __init__(self, options: Options, progress: Progress | None = None) -> None:
+        """Build the scene and the controller, without starting the thread.
+
+        Args:
+            progress: called with a few words before each step.
+
+        Raises:
+            ValueError: unknown names or an unusable mesh, with the reason.
+        """
+        say = progress or (lambda _text: None)
+        check_names(options)
+        self.options = options
+        self.scene: Scene = scenes.build(options, 1, say)
+        say("preparing the controller")
+        plant = scenes.plant(self.scene, options)
+        self._lock = threading.RLock()  # writers only; the loop and `latest` never take it
+        self._changing = threading.Lock()
+        self._orders = Orders(plant, Command(None, 0, stamp=time.monotonic()))
+        self._inbox: Mailbox[Orders] = Mailbox(self._orders)
+        self._outbox: Mailbox[Telemetry] = Mailbox()
+        self._loop = ControlLoop(self._inbox, self._outbox, options.dt)
+        self._clutched = False
+        self.handle = pin.SE3(self.scene.T_base_start)
+        self._teleop = latch(options.scale, self.handle, self.handle)
+
+    def __enter__(self) -> Session:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Start the control thread. The tool holds until the first `drive`."""
+        self._loop.start()
+
+    def close(self) -> None:
+        """Stop the control thread and wait for it. Safe to call twice."""
+        self._loop.close()
+
+    def latest(self) -> Telemetry:
+        """The newest tick. Never blocks."""
+        telemetry = self._outbox.get()
+        assert telemetry is not None
+        return telemetry
+
+    # What the operator does
+
+    def drive(self, target: pin.SE3, held: bool = False) -> None:
+        """Move the handle. Ends the autopilot: the hand has priority.
+
+        Args:
+            target: pose of the handle, arm base frame; with scale 1 that is the proxy.
+            held: a drag is going on; then call again (the same pose will do, or `touch`) before
+                `Options.stale_after` runs out, or the tool holds.
+
+        Raises:
+            Refused: not finite, not a rotation, or farther than `FARTHEST` from the base. The
+                session goes on with the pose it had.
+        """
+        handle = checked_pose(target)
+        with self._lock:
+            proxy = self._teleop.proxy(handle)
+            _check_distance(proxy)
+            self.handle = handle
+            if self._clutched:
+                proxy = self._orders.command.target  # the handle moves alone
+            self._command(proxy, held, autopilot=False)
+
+    def touch(self) -> None:
+        """Say that the drag is still alive though the handle rests."""
+        with self._lock:
+            if self._orders.command.held:
+                self._command(self._orders.command.target, held=True)
+
+    def recall(self) -> None:
+        """Put handle and proxy back onto the tool; ends the autopilot."""
+        with self._lock:
+            self._latch_on_tool(handle_too=True)
+            self._command(pin.SE3(self.handle), autopilot=False)
+
+    def clutch(self, pressed: bool) -> None:
+        """Pressed: the tool holds, the force is zero and the handle moves alone.
+
+        Released: handle and proxy are latched anew, the proxy where the tool is.
+        """
+        with self._lock:
+            if pressed == self._clutched:
+                return
+            self._clutched = pressed
+            target = self._orders.command.target
+            if not pressed:
+                self._latch_on_tool(handle_too=False)
+                target = self._teleop.proxy(self.handle)
+            self._command(target)
+
+    def pause(self) -> None:
+        """Stop the ticks; telemetry keeps showing the last one."""
+        self._order(paused=True)
+
+    def resume(self) -> None:
+        """Let the ticks go on. The proxy that counts is the one of this moment."""
+        self._order(paused=False)
+
+    def single_step(self) -> None:
+        """Pause, and do exactly one tick."""
+        with self._lock:
+            self._order(paused=True, steps=self._orders.steps + 1)
+
+    def reset(self) -> None:
+        """Put the tool back to the scene's start, and handle and proxy onto it."""
+        with self._lock:
+            self.handle = pin.SE3(self.scene.T_base_start)
+            self._teleop = latch(self.options.scale, self.handle, self.handle)
+            self._clutched = False
+            self._command(None, autopilot=False, resets=self._orders.resets + 1)
+
+    def set_autopilot(self, on: bool) -> bool:
+        """Let a scripted path drive the proxy, from its beginning. Off: the proxy stays there."""
+        with self._lock:
+            if on == self._orders.autopilot:
+                return on
+            if on:
+                self._clutched = False
+                self._command(None, autopilot=True)
+                return on
+            target = self.latest().target
+            if target is not None:
+                self.handle = pin.SE3(target)
+                self._teleop = latch(self.options.scale, self.handle, self.handle)
+            self._command(target, autopilot=False)
+            return on
+
+    # What the operator sets; every setter returns the value really taken
+
+    def set_rule(self, name: str) -> str:
+        """Which planes guard the tool. Refuses names other than `vf.RULES`."""
+        if name not in vf.RULES:
+            raise Refused(f"unknown rule '{name}': choose one of {', '.join(vf.RULES)}")
+        return self._set(rule=name).rule
+
+    def set_radius(self, radius: float | None) -> float | None:
+        """Radius of the motion sphere [m]; None takes the largest step of a tick."""
+        return self._set(radius=None if radius is None else _clamped("radius", radius)).radius
+
+    def set_force_gain(self, gain: float) -> float:
+        """Haptic stiffness [N/m]."""
+        return self._set(force_gain=_clamped("force_gain", gain)).force_gain
+
+    def set_standoff(self, standoff: float) -> float:
+        """Distance the tool keeps from the surface [m]."""
+        return self._set(standoff=_clamped("standoff", standoff)).standoff
+
+    def set_tip_radius(self, radius: float) -> float:
+        """Radius of the tool's spherical tip [m]."""
+        return self._set(tip_radius=_clamped("tip_radius", radius)).tip_radius
+
+    def set_scale(self, scale: float) -> float:
+        """Proxy movement per handle movement, from here on: the proxy does not jump."""
+        with self._lock:
+            scale = _clamped("scale", scale)
+            proxy = self._teleop.proxy(self.handle)
+            self._teleop = latch(scale, self.handle, proxy)
+            self.options = replace(self.options, scale=scale)
+            return scale
+
+    def change(
+        self,
+        mesh: str | None = None,
+        unit: str | None = None,
+        robot: str | None = None,
+        progress: Callable[[str], None] | None = None,
+    ) -> Scene:
+        """Another mesh or robot: built aside while the old one runs, then swapped between ticks.
+
+        The tool stays where it is if that is free space in the new scene, else it is put to the
+        new start; handle and proxy are put onto it.
+
+        Args:
+            mesh: catalogue name or path; None keeps the mesh (and its unit).
+            unit: of the mesh file.
+            robot: name; None keeps the robot.
+            progress: called with a few words before each step.
+
+        Raises:
+            Refused: another change is under way.
+            ValueError: unknown names or an unusable mesh, with the reason; the old scene goes on.
+        """
+        if not self._changing.acquire(blocking=False):
+            raise Refused("another change is under way: wait until it is done")
+        try:
+            wanted = {
+                name: value for name, value in (("mesh", mesh), ("robot", robot)) if value is not None
+            }
+            if mesh is not None or unit is not None:
+                wanted["unit"] = unit
+            options = replace(self.options, **wanted)
+            check_names(options)
+            new = scenes.build(options, self.scene.version + 1, progress)
+            with self._lock:
+                # Settings may have moved on while the scene was being built.
+                options = replace(self.options, **wanted)
+                plant = scenes.plant(new, options)
+                self.scene, self.options, self._clutched = new, options, False
+                self._command(None, autopilot=False, plant=plant)
+                self._await_scene()
+                self._latch_on_tool(handle_too=True)
+            return new
+        finally:
+            self._changing.release()
+
+    # Inner workings; callers hold the lock
+
+    def _order(self, **changes: object) -> None:
+        with self._lock:
+            self._orders = replace(self._orders, **changes)
+            self._inbox.put(self._orders)
+
+    def _command(self, target: pin.SE3 | None, held: bool = False, **changes: object) -> None:
+        """A new command, together with other changes that must be seen at the same tick."""
+        command = Command(
+            target=target,
+            sequence=self._orders.command.sequence + 1,
+            clutch=self._clutched,
+            held=held,
+            stamp=time.monotonic(),
+        )
+        self._order(command=command, **changes)
+
+    def _set(self, **changes: object) -> Options:
+        """New settings through a new plant; the numbers were clamped before."""
+        with self._lock:
+            options = replace(self.options, **changes)
+            if options != self.options:
+                plant = scenes.plant(self.scene, options)
+                self.options = options
+                self._order(plant=plant)
+            return options
+
+    def _tool(self) -> pin.SE3:
+        """The tool's pose as last seen."""
+        telemetry = self.latest()
+        if telemetry.step is None or telemetry.scene != self.scene.version:
+            return pin.SE3(self.scene.T_base_start)
+        return pin.SE3(telemetry.step.tip)
+
+    def _latch_on_tool(self, handle_too: bool) -> None:
+        tool = self._tool()
+        if handle_too:
+            self.handle = tool
+        self._teleop = latch(self.options.scale, self.handle, tool)
+
+    def _await_scene(self, timeout: float = 5.0) -> None:
+        """Wait until the loop runs in the present scene, to learn where the tool is in it."""
+        deadline = time.monotonic() + timeout
+        while self._loop.alive and time.monotonic() < deadline:
+            telemetry = self.latest()
+            if telemetry.scene == self.scene.version and telemetry.step is not None:
+                return
+            time.sleep(1e-3)
+
+
+def checked_pose(pose: pin.SE3) -> pin.SE3:
+    """A copy of a pose that came from outside, its rotation made orthonormal to rounding.
+
+    Raises:
+        Refused: not finite, not a rotation within 1e-3, or farther than `FARTHEST` away.
+    """
+    p, R = np.array(pose.translation), np.array(pose.rotation)
+    if not (np.isfinite(p).all() and np.isfinite(R).all()):
+        raise Refused("the proxy is not finite")
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+        raise Refused("the proxy's rotation is not a rotation (not orthonormal, or mirrored)")
+    T_base_pose = pin.SE3(pin.Quaternion(R).normalized().matrix(), p)
+    _check_distance(T_base_pose)
+    return T_base_pose
+
+
+def _check_distance(pose: pin.SE3) -> None:
+    distance = float(np.linalg.norm(pose.translation))
+    if distance > FARTHEST:
+        raise Refused(
+            f"the proxy is {distance:.2f} m from the arm's base; at most {FARTHEST:g} m is allowed"
+        )
+
+
+def _clamped(name: str, value: float) -> float:
+    try:
+        return in_range(name, value)
+    except OptionError as error:
+        raise Refused(str(error)) from None

@@ -1,0 +1,200 @@
+"""What the user chooses: one frozen value, the same from the command line to the panel.
+
+Importing this module is cheap on purpose (no kernels, no robots), so that `--help` and a
+mistyped option answer at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import re
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
+
+# What a value may be; the panel clamps to these, the command line refuses what is outside.
+RANGES: dict[str, tuple[float, float]] = {
+    "radius": (5e-5, 2e-2),  # [m]
+    "standoff": (1e-6, 1e-3),  # [m]
+    "tip_radius": (0.0, 5e-3),  # [m]
+    "scale": (0.05, 2.0),  # proxy metres per handle metre
+    "force_gain": (0.0, 1000.0),  # [N/m]
+    "rate": (10.0, 20_000.0),  # [Hz]
+    "stale_after": (0.05, 10.0),  # [s]
+}
+
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254}
+_LENGTH = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµμ]*)")
+
+
+class OptionError(ValueError):
+    """A setting is not usable. The message names the value and what would be valid."""
+
+
+def parse_length(text: str) -> float:
+    """A length in metres from text such as `5mm`, `20um`, `0.2in` or `0.005` (bare: metres).
+
+    Raises:
+        OptionError: the text is no length; the message says how to write one.
+    """
+    match = _LENGTH.fullmatch(text.strip())
+    unit = (match.group(2) or "m") if match else ""
+    if match is None or unit not in _METRES:
+        raise OptionError(
+            f"'{text}' is not a length: write a number and a unit (m, cm, mm, um, in), "
+            "such as 5mm, 0.5mm or 20um; a bare number such as 0.005 is in metres"
+        )
+    return float(match.group(1)) * _METRES[unit]
+
+
+def parse_radius(text: str) -> float | None:
+    """The motion sphere's radius [m]; None for `auto` (maximum tip speed times the tick)."""
+    if text.strip().lower() == "auto":
+        return None
+    try:
+        return parse_length(text)
+    except OptionError as error:
+        raise OptionError(f"{error}; or write auto") from None
+
+
+def format_length(value: float | None) -> str:
+    """The shortest text that `parse_radius` reads back as the same length, in mm or um."""
+    if value is None:
+        return "auto"
+    for scale, unit in ((1e-3, "mm"), (1e-6, "um")):
+        if abs(value) >= 0.01 * scale or unit == "um" or value == 0.0:
+            return f"{value / scale:.6g}{unit}"
+    raise AssertionError("unreachable")
+
+
+def in_range(name: str, value: float) -> float:
+    """The value clamped to what the setting `name` allows (not a number: refused)."""
+    low, high = RANGES[name]
+    value = float(value)
+    if math.isnan(value):
+        raise OptionError(f"{name} must be a number between {low:g} and {high:g}, not {value}")
+    return min(max(value, low), high)
+
+
+Length = Annotated[
+    float,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="LENGTH",
+        instance_from_str=lambda words: parse_length(words[0]),
+        is_instance=lambda value: isinstance(value, float | int),
+        str_from_instance=lambda value: [format_length(value)],
+    ),
+]
+Radius = Annotated[
+    float | None,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="auto|LENGTH",
+        instance_from_str=lambda words: parse_radius(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, float | int),
+        str_from_instance=lambda value: [format_length(value)],
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of a session. Lengths in metres inside; `5mm` and the like on the command line.
+
+    Raises:
+        OptionError: a number is outside `RANGES`. Names (mesh, robot, rule) are checked by
+            `check_names` and when the scene is built, since that needs the libraries.
+    """
+
+    mesh: str = "skull"
+    """Catalogue name, or path of an STL, OBJ, PLY, OFF or GLB file."""
+    unit: str | None = None
+    """Unit of a mesh file: m, mm, cm or in. Guessed from its size if not given."""
+    robot: str = "psm"
+    """Arm that carries the tool: psm, point, panda or ur5."""
+    rule: str = "certified"
+    """Which planes guard the tool: certified, paper (Conditions 1-3), all, or off."""
+    radius: Radius = 5e-3
+    """Radius of the motion sphere; 5mm is the paper's preset, auto the largest step of a tick."""
+    rate: float = 1000.0
+    """Ticks of the control loop per second."""
+    host: str = "127.0.0.1"
+    """Address the page listens on. Anyone who reaches it can move the simulated tool."""
+    port: int = 8080
+    """Port of the page; 0 takes any free one."""
+    standoff: Length = 20e-6
+    """Distance the tool keeps from the surface."""
+    tip_radius: Length = 0.0
+    """Radius of a spherical tool tip."""
+    scale: float = 1.0
+    """Teleoperation scale: movement of the proxy per movement of the handle."""
+    force_gain: float = 150.0
+    """Simulated haptic stiffness [N/m]."""
+    stale_after: float = 0.5
+    """The tool holds when a drag goes silent for this long [s]."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if not low <= value <= high:
+                text = (
+                    (format_length(value), format_length(low), format_length(high))
+                    if name in ("radius", "standoff", "tip_radius") and math.isfinite(value)
+                    else (f"{value:g}", f"{low:g}", f"{high:g}")
+                )
+                raise OptionError(f"{name} {text[0]} is outside {text[1]} to {text[2]}")
+        if not 0 <= self.port <= 65535:
+            raise OptionError(f"port {self.port} is outside 0 to 65535")
+
+    @property
+    def dt(self) -> float:
+        """Length of a tick [s]."""
+        return 1.0 / self.rate
+
+
+def check_names(options: Options) -> None:
+    """Refuse unknown robots and rules before anything slow is started.
+
+    Raises:
+        OptionError: naming the valid choices.
+    """
+    import robots
+    import vf
+
+    for kind, name, known in (
+        ("robot", options.robot, tuple(robots.names())),
+        ("rule", options.rule, tuple(vf.RULES)),
+    ):
+        if name not in known:
+            raise OptionError(f"unknown {kind} '{name}': choose one of {', '.join(known)}")
+
+
+def parse(arguments: list[str], description: str) -> Options:
+    """Options from command-line words, by tyro (which prints `--help` and usage errors).
+
+    Raises:
+        OptionError: a value was not usable.
+        SystemExit: after `--help` (0) or a usage error (2).
+    """
+    # tyro draws a box around our own messages. They are single lines that say all there is to
+    # say, so catch the box and hand the message on; tyro's own errors are printed as they come.
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            return tyro.cli(Options, prog="vf-sandbox", description=description, args=arguments)
+    except SystemExit as exit_:
+        error = exit_.__context__
+        while error is not None and not isinstance(error, OptionError):
+            error = error.__cause__ or error.__context__
+        if error is not None:
+            raise error from None
+        sys.stderr.write(box.getvalue())
+        raise
