@@ -115,9 +115,7 @@ def _spots(surface: vf.Surface, start: FloatArray) -> FloatArray:
     return np.array([found[k] for k in chosen])
 
 
-def _below(
-    surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float
-) -> FloatArray | None:
+def _below(surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float) -> FloatArray | None:
     """The highest point (3,) of the surface on the vertical through xy, if there is one."""
     top, bottom = np.array([*xy, ceiling]), np.array([*xy, floor])
     triangle = surface.crossing(top, bottom)

@@ -32,9 +32,7 @@ class ControlLoop:
     from that moment, so time lost is lost and never made up by faster ticks.
     """
 
-    def __init__(
-        self, orders: Mailbox[Orders], telemetry: Mailbox[Telemetry], dt: float
-    ) -> None:
+    def __init__(self, orders: Mailbox[Orders], telemetry: Mailbox[Telemetry], dt: float) -> None:
         first = orders.get()
         if first is None:
             raise ValueError("the loop needs orders to start from")

@@ -238,7 +238,9 @@ class Session:
             raise Refused("another change is under way: wait until it is done")
         try:
             wanted = {
-                name: value for name, value in (("mesh", mesh), ("robot", robot)) if value is not None
+                name: value
+                for name, value in (("mesh", mesh), ("robot", robot))
+                if value is not None
             }
             if mesh is not None or unit is not None:
                 wanted["unit"] = unit

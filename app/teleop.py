@@ -30,9 +30,7 @@ class Teleop:
         handle0, proxy0 = self.T_base_handle0, self.T_base_proxy0
         moved = T_base_handle.translation - handle0.translation
         alignment = handle0.rotation.T @ proxy0.rotation
-        return pin.SE3(
-            T_base_handle.rotation @ alignment, proxy0.translation + self.scale * moved
-        )
+        return pin.SE3(T_base_handle.rotation @ alignment, proxy0.translation + self.scale * moved)
 
 
 def latch(scale: float, T_base_handle: pin.SE3, T_base_proxy: pin.SE3) -> Teleop:

@@ -1,0 +1,192 @@
+"""The command line: `vf-sandbox` starts the page, `vf-sandbox <command> …` runs a command."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import pkgutil
+import signal
+import socket
+import sys
+import threading
+import time
+from types import FrameType, TracebackType
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+import app.commands
+from app.settings import OptionError, Options, format_length, parse
+
+USAGE_ERROR = 2
+INTERRUPTED = 130
+
+ABOUT = """Drag a simulated surgical tool over anatomy; virtual fixtures keep it out.
+
+Starts the control loop and a page for the browser, and prints the page's address."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line (default: this process's words); returns the exit code."""
+    words = sys.argv[1:] if arguments is None else arguments
+    _interrupt_on_terminate()
+    try:
+        if words and not words[0].startswith("-"):
+            return _command(words[0], words[1:])
+        commands = _commands()
+        about = f"{ABOUT}\n\nCommands: {', '.join(commands)}." if commands else ABOUT
+        return serve(parse(words, about))
+    except OptionError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def serve(options: Options) -> int:
+    """Start session and page, and keep them until Ctrl-C; returns the exit code."""
+    if problem := bind_problem(options.host, options.port):
+        return _complain(problem)
+    console = Console(highlight=False)
+    console.print(
+        f"[bold]vf-sandbox[/]: {options.mesh}, {options.robot}, rule {options.rule}, "
+        f"motion sphere {format_length(options.radius)}, {options.rate:g} Hz"
+    )
+    began = time.perf_counter()
+    try:
+        with _Steps(console) as step:
+            step("loading libraries")
+            from app.session import Session
+
+            with Session(options, progress=step) as session:
+                step("opening the page")
+                from app.view.page import Page
+
+                page = Page(session, options.host, options.port)
+                try:
+                    step.done()
+                    console.print(
+                        f"Ready after {time.perf_counter() - began:.1f} s. "
+                        f"Open [bold]{page.url}[/] (Ctrl-C ends)"
+                    )
+                    return _wait(console)
+                finally:
+                    page.close()
+    except (ValueError, OSError) as error:
+        # Reasons a user can act upon: names, meshes, a port taken since it was tried.
+        return _complain(str(error))
+
+
+def bind_problem(host: str, port: int) -> str | None:
+    """Why the page could not listen on this address, or None if it could.
+
+    Tried beforehand because viser moves on to the next port when one is taken, and hangs on an
+    address that is not ours.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with socket.socket(family, kind, protocol) as attempt:
+            # As the server will: a port in TIME_WAIT is not taken.
+            attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            attempt.bind(address)
+            attempt.listen(1)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return (
+                f"port {port} on {host} is taken: "
+                "choose another with --port, or --port 0 for any free one"
+            )
+        return (
+            f"cannot listen on host '{host}', port {port} ({error.strerror or error}): "
+            "--host takes an address of this machine, such as 127.0.0.1 or 0.0.0.0"
+        )
+    return None
+
+
+def _wait(console: Console) -> int:
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        console.print("Closing.")
+    return 0
+
+
+def _command(name: str, rest: list[str]) -> int:
+    known = _commands()
+    if name not in known:
+        choices = f"the commands are {', '.join(known)}" if known else "there are no commands yet"
+        return _complain(f"unknown command '{name}': {choices}; without one the page starts")
+    return int(importlib.import_module(f"app.commands.{name}").main(rest))
+
+
+def _commands() -> list[str]:
+    return sorted(module.name for module in pkgutil.iter_modules(app.commands.__path__))
+
+
+def _complain(message: str) -> int:
+    print(f"vf-sandbox: error: {message}", file=sys.stderr)
+    return USAGE_ERROR
+
+
+def _interrupt_on_terminate() -> None:
+    """Let SIGTERM close everything just as Ctrl-C does."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, interrupt)
+
+
+class _Steps:
+    """Shows the step under way with the time it takes, and leaves a line for each one done."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
+        self._text = ""
+        self._since = 0.0
+
+    def __enter__(self) -> _Steps:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def __call__(self, text: str) -> None:
+        """Begin a step; the one before it is done."""
+        self._finish()
+        self._text, self._since = text, time.perf_counter()
+        for task in self._progress.task_ids:
+            self._progress.remove_task(task)
+        self._progress.add_task(text, total=None)
+        if not self._console.is_terminal:
+            self._console.print(f"  {text} …")
+
+    def done(self) -> None:
+        """The last step is done: stop showing progress."""
+        self._finish()
+        self._progress.stop()
+
+    def _finish(self) -> None:
+        if self._text and self._console.is_terminal:
+            seconds = time.perf_counter() - self._since
+            self._console.print(f"  [green]✓[/] {self._text} [dim]{seconds:.1f} s[/]")
+        self._text = ""
+
+
+if __name__ == "__main__":
+    sys.exit(main())
