@@ -1,0 +1,27 @@
+"""Meshes for virtual fixtures: the catalogue, loading a user's file, placing it under an arm.
+
+Everything that comes out of this package is in metres.
+"""
+
+from meshes.catalogue import Entry, catalogue, names
+from meshes.errors import MeshError, UnitGuess
+from meshes.load import FORMATS, UNITS, arrays, load
+from meshes.place import Display, display, place, placement
+from meshes.skull import planned_cut
+
+__all__ = [
+    "FORMATS",
+    "UNITS",
+    "Display",
+    "Entry",
+    "MeshError",
+    "UnitGuess",
+    "arrays",
+    "catalogue",
+    "display",
+    "load",
+    "names",
+    "place",
+    "placement",
+    "planned_cut",
+]

@@ -1,0 +1,216 @@
+"""From a name or a file to arrays in metres, or to a :class:`vf.Surface`."""
+
+from __future__ import annotations
+
+import difflib
+import io
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from meshes import obj
+from meshes.catalogue import catalogue, names
+from meshes.errors import MeshError, UnitGuess
+from meshes.shapes import Arrays
+from vf.surface import Surface
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+"""Metres in one of each unit."""
+
+FORMATS = ("stl", "obj", "ply", "off", "glb")
+SIZE_LIMIT = 500_000_000  # [byte] of a file: some ten million triangles
+SMALLEST, LARGEST = 1e-4, 10.0  # [m] diagonals that a surgical arm could have to do with
+
+
+def load(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> Surface:
+    """A catalogue mesh by its name, or a mesh file, as a surface for fixtures; see :func:`arrays`.
+
+    Raises :class:`meshes.MeshError`.
+    """
+    vertices, faces = arrays(name_or_path, unit=unit)
+    return Surface.from_arrays(vertices, faces)
+
+
+def arrays(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> Arrays:
+    """Vertices ``(n, 3)`` float64 [m] and faces ``(m, 3)`` int64 of a catalogue mesh or a file.
+
+    A string that is a catalogue name means that mesh; for a file of that name write ``./name``.
+    Files: STL, OBJ, PLY, OFF, GLB. Several bodies become one mesh, each where its scene puts it.
+    Polygons become triangles. Nothing is repaired or welded, except that corners at *exactly* the
+    same place are one vertex in STL and GLB, which have no way to say so; vertices that no face
+    uses are dropped.
+
+    ``unit`` is "m", "cm", "mm" or "in". ``None``: metres for GLB, as its standard says; otherwise
+    a guess from the size, told by a :class:`meshes.UnitGuess` warning. The catalogue's meshes know
+    their size, so ``unit`` does not touch them.
+
+    Raises :class:`meshes.MeshError` with a one-line reason: unknown name or unit, missing, empty,
+    oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
+    diagonal below 0.1 mm or above 10 m.
+    """
+    if unit is not None and unit not in UNITS:
+        raise MeshError(f"unknown unit {unit!r}: choose one of {', '.join(UNITS)}")
+    if isinstance(name_or_path, str) and name_or_path in catalogue():
+        return catalogue()[name_or_path].make()
+    path = Path(name_or_path)
+    _check_file(path, str(name_or_path))
+    kind = path.suffix[1:].lower()
+    try:
+        vertices, faces = _read(path.read_bytes(), kind)
+    except MeshError as error:
+        raise MeshError(f"{path}: {error}") from None
+    # Whatever a parser trips over in a damaged file, the file is what is wrong. MemoryError and
+    # RecursionError are among them: counts and nesting come from the file.
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise MeshError(f"{path}: cannot be read as {kind.upper()} ({reason})") from error
+    vertices = vertices * _metres(path, kind, vertices, unit)
+    return vertices, faces
+
+
+def _check_file(path: Path, given: str) -> None:
+    """Refuse what is not a mesh file of a sensible size, before opening it."""
+    formats = ", ".join(f".{kind}" for kind in FORMATS)
+    try:
+        size = path.stat().st_size if path.exists() else None
+    except (OSError, ValueError) as error:  # no permission, a name too long, a NUL in it
+        raise MeshError(f"{given!r}: cannot be opened ({error})") from None
+    if size is None:
+        if path.suffix[1:].lower() in FORMATS or len(path.parts) > 1:
+            raise MeshError(f"{given!r}: there is no such file")
+        near = difflib.get_close_matches(given.lower(), names(), n=1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        raise MeshError(
+            f"unknown mesh {given!r}{hint}: choose one of {', '.join(names())},"
+            f" or give the path of a file ({formats})"
+        )
+    if not path.is_file():
+        raise MeshError(f"{path}: not a file; give the path of a mesh file ({formats})")
+    if path.suffix[1:].lower() not in FORMATS:
+        raise MeshError(f"{path}: unknown format {path.suffix!r}; choose one of {formats}")
+    if size == 0:
+        raise MeshError(f"{path}: the file is empty")
+    if size > SIZE_LIMIT:
+        raise MeshError(
+            f"{path}: {size / 1e6:.0f} MB, more than the {SIZE_LIMIT / 1e6:.0f} allowed"
+        )
+
+
+def _read(data: bytes, kind: str) -> Arrays:
+    """Checked vertices, in the file's unit, and faces of a file's content."""
+    bodies = [_checked(*obj.read(data))] if kind == "obj" else _bodies(data, kind)
+    if not any(len(faces) for _, faces in bodies):
+        points = sum(len(vertices) for vertices, _ in bodies)
+        raise MeshError(f"no triangles, only {points} points" if points else "no triangles")
+    starts = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
+    vertices = np.vstack([vertices for vertices, _ in bodies])
+    faces = np.vstack([f + start for (_, f), start in zip(bodies, starts[:-1], strict=True)])
+    if kind in ("stl", "glb"):
+        vertices, faces = _merged(vertices, faces)
+    return _compact(vertices, faces)
+
+
+def _bodies(data: bytes, kind: str) -> list[Arrays]:
+    """Every body of a file that trimesh reads, in the scene's frame."""
+    if kind == "stl":
+        _check_stl(data)
+    with warnings.catch_warnings():
+        # numpy only deprecates half-read number lists: here they are a damaged file.
+        warnings.filterwarnings("error", message="string or file could not be read")
+        # A stream and no resolver: a file can refer to no other file.
+        scene = trimesh.load_scene(
+            io.BytesIO(data), file_type=kind, process=False, skip_materials=True, fix_texture=False
+        )
+    bodies = []
+    for node in scene.graph.nodes_geometry:
+        T_scene_body, name = scene.graph[node]
+        body = scene.geometry[name]
+        vertices, faces = _checked(
+            np.asarray(body.vertices, dtype=np.float64),
+            np.asarray(getattr(body, "faces", np.empty((0, 3))), dtype=np.int64),
+        )
+        T = np.asarray(T_scene_body, dtype=np.float64)
+        if not np.array_equal(T, np.eye(4)):  # moving by nothing would still round
+            vertices = vertices @ T[:3, :3].T + T[:3, 3]
+            if np.linalg.det(T[:3, :3]) < 0:  # a mirror turns the winding inside out
+                faces = faces[:, ::-1]
+            vertices, faces = _checked(vertices, faces)
+        bodies.append((vertices, faces))
+    return bodies
+
+
+def _check_stl(data: bytes) -> None:
+    """Tell a cut-off binary STL as such: a reader that tries it as text finds only nothing."""
+    if data[:512].lstrip().lower().startswith(b"solid") and b"facet" in data[:2048]:
+        return
+    if len(data) < 84:
+        raise MeshError(f"{len(data)} bytes are too few for an STL file")
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) != 84 + 50 * count:
+        raise MeshError(
+            f"its header promises {count} triangles ({84 + 50 * count} bytes),"
+            f" the file has {len(data)} bytes: cut off or not STL"
+        )
+
+
+def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise MeshError(f"vertices of shape {vertices.shape} instead of (n, 3)")
+    if faces.ndim != 2 or (len(faces) and faces.shape[1] != 3):
+        raise MeshError(f"faces of shape {faces.shape} instead of (m, 3)")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise MeshError(f"{bad.sum()} vertices are not finite, the first is vertex {bad.argmax()}")
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        worst = int(faces.min()) if faces.min() < 0 else int(faces.max())
+        raise MeshError(f"a face refers to vertex {worst}, of {len(vertices)} (counted from 0)")
+    return vertices, faces.reshape(-1, 3)
+
+
+def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
+    """One vertex for all that have exactly equal coordinates; first come, first kept."""
+    vertices = vertices + 0.0  # −0 and 0 are the same place
+    order = np.lexsort(vertices.T)  # stable: equals stay in the file's order
+    ranked = vertices[order]
+    new = np.r_[True, (ranked[1:] != ranked[:-1]).any(axis=1)]
+    first = np.empty(len(vertices), dtype=np.int64)
+    first[order] = order[np.flatnonzero(new)][np.cumsum(new) - 1]
+    return vertices, first[faces]
+
+
+def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
+    """Only the vertices that faces use, in their order."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    if used.all():
+        return vertices, faces
+    return vertices[used], (np.cumsum(used) - 1)[faces]
+
+
+def _metres(path: Path, kind: str, vertices: NDArray[np.float64], unit: str | None) -> float:
+    """Metres in the file's unit, given or guessed; refuses a mesh of an absurd size."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    guessed = unit is None and kind != "glb"
+    if unit is None:
+        # Anatomy and phantoms are some centimetres to two metres large: a diagonal of up to five
+        # makes sense in metres only, a larger one in millimetres.
+        unit = "m" if not guessed or diagonal <= 5.0 else "mm"
+    size = diagonal * UNITS[unit]
+    if not SMALLEST <= size <= LARGEST:
+        raise MeshError(
+            f"{path}: {size:.3g} m across if its unit is {unit}; from 0.1 mm to 10 m is possible"
+            f" (say unit='…': {', '.join(UNITS)})"
+        )
+    if guessed:
+        warnings.warn(
+            f"{path.name} does not say its unit: with a diagonal of {diagonal:.4g} it is taken to"
+            f" be in {unit} ({size * 1e3:.4g} mm across); say unit='…' ({', '.join(UNITS)}) if not",
+            UnitGuess,
+            stacklevel=3,
+        )
+    return UNITS[unit]
