@@ -1,0 +1,159 @@
+"""One arm: a Pinocchio model, its tool tip, its limits, its inverse and its drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isfinite
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from robots.drawing import Body, Drawing
+
+FloatArray = NDArray[np.float64]
+
+Inverse = Callable[["Arm", pin.SE3, FloatArray], FloatArray]
+"""Finds the joint vector of a tip pose, near a start; both are checked before the call."""
+
+_ALIGNED = pin.LOCAL_WORLD_ALIGNED
+
+
+class Unreachable(ValueError):
+    """No joint vector within the limits puts the tip at the asked pose; the message says why."""
+
+
+class Arm:
+    """A serial arm with a tool tip. Lengths in m, angles in rad, poses in the arm's base frame.
+
+    Not thread-safe: an `Arm` owns Pinocchio's workspace, which every call writes. Give each
+    thread its own `copy()`.
+
+    Attributes (arrays are read-only, `(n,)`, float64):
+        name:     the name it was loaded under.
+        joints:   joint names, in the order of the joint vector.
+        lower, upper: position limits [rad or m].
+        velocity: speed limits [rad/s or m/s].
+        neutral:  the rest pose, within the limits.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        model: pin.Model,
+        tip_frame: str,
+        neutral: ArrayLike,
+        inverse: Inverse,
+        drawing: Callable[[], Drawing],
+    ) -> None:
+        if not model.existFrame(tip_frame):
+            raise ValueError(f"arm {name!r} has no frame {tip_frame!r}")
+        if model.nq != model.nv:
+            raise ValueError(f"arm {name!r}: joints must be prismatic or bounded revolute")
+        self.name = name
+        self.joints: tuple[str, ...] = tuple(model.names)[1:]
+        self.lower = _read_only(model.lowerPositionLimit)
+        self.upper = _read_only(model.upperPositionLimit)
+        self.velocity = _read_only(model.upperVelocityLimit)
+        self._shape = (model.nq,)
+        self._model = model
+        self._data = model.createData()
+        self._tip = int(model.getFrameId(tip_frame))
+        self._inverse = inverse
+        self._drawing = drawing
+        self.neutral = _read_only(self._checked(neutral))
+        if not self.within(self.neutral):
+            raise ValueError(f"arm {name!r}: the rest pose {self.neutral} breaks the joint limits")
+
+    def copy(self) -> Arm:
+        """An equal arm with a workspace of its own, for another thread."""
+        return Arm(
+            self.name,
+            self._model,
+            self._model.frames[self._tip].name,
+            self.neutral,
+            self._inverse,
+            self._drawing,
+        )
+
+    def tip(self, q: ArrayLike) -> pin.SE3:
+        """Pose of the tool tip, `T_base_tip`; the caller owns it. `q` is `(n,)`."""
+        pin.forwardKinematics(self._model, self._data, self._checked(q))
+        return pin.updateFramePlacement(self._model, self._data, self._tip)
+
+    def jacobian(self, q: ArrayLike) -> FloatArray:
+        """Jacobian of the tip, `(6, n)`, C-contiguous, owned by the caller.
+
+        Rows 0–2 give the tip's linear velocity [m], rows 3–5 the angular velocity [rad], both
+        along the base frame's axes (Pinocchio's LOCAL_WORLD_ALIGNED).
+        """
+        return pin.computeFrameJacobian(
+            self._model, self._data, self._checked(q), self._tip, _ALIGNED
+        )
+
+    def kinematics(self, q: ArrayLike) -> tuple[pin.SE3, FloatArray]:
+        """`(tip(q), jacobian(q))` from one pass over the arm: the call for the control loop."""
+        q = self._checked(q)
+        # The Jacobian leaves the joints' placements behind, so the tip costs one product more.
+        J = pin.computeFrameJacobian(self._model, self._data, q, self._tip, _ALIGNED)
+        return pin.updateFramePlacement(self._model, self._data, self._tip), J
+
+    def clamp(self, q: ArrayLike) -> FloatArray:
+        """`q` with every joint brought into its limits, a new `(n,)` array."""
+        return np.clip(self._checked(q), self.lower, self.upper)
+
+    def within(self, q: ArrayLike, slack: float = 0.0) -> bool:
+        """Whether every joint is within its limits widened by `slack` [rad or m]."""
+        q = self._checked(q)
+        return bool(np.all(q >= self.lower - slack) and np.all(q <= self.upper + slack))
+
+    def inverse(self, pose: pin.SE3, start: ArrayLike | None = None) -> FloatArray:
+        """A joint vector within the limits whose tip is at `pose`.
+
+        Of several solutions the one near `start` (`neutral` by default) is taken. Raises
+        `Unreachable` where there is none, `ValueError` for a pose that is not one.
+        """
+        rotation = pose.rotation
+        if not (np.isfinite(pose.translation).all() and np.isfinite(rotation).all()):
+            raise ValueError(f"pose must be finite, got {pose}")
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+            raise ValueError(f"pose's rotation must be orthonormal and right-handed, got {pose}")
+        return self._inverse(self, pose, self._checked(self.neutral if start is None else start))
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """What to draw. Built at the first use (fractions of a second), then shared."""
+        return self._drawing().bodies
+
+    def placements(self, q: ArrayLike) -> FloatArray:
+        """Poses of `bodies` in the base frame, `(len(bodies), 7)`: quaternion wxyz, position [m].
+
+        Bodies of the same `frame` have equal rows.
+        """
+        q = self._checked(q)
+        pin.forwardKinematics(self._model, self._data, q)
+        poses = {n: _viewer_pose(T) for n, T in zip(self._model.names, self._data.oMi, strict=True)}
+        drawing = self._drawing()
+        poses.update((n, _viewer_pose(T)) for n, T in drawing.passive(q).items())
+        return np.array([poses[body.frame] for body in drawing.bodies])
+
+    def _checked(self, q: ArrayLike) -> FloatArray:
+        vector = np.asarray(q, dtype=np.float64)
+        # The dot product is the cheapest finite test: any NaN or infinity survives in it.
+        if vector.shape != self._shape or not isfinite(vector.dot(vector)):
+            raise ValueError(
+                f"{self.name} needs {self._shape[0]} finite joint values "
+                f"({', '.join(self.joints)}), got {q!r}"
+            )
+        return vector
+
+
+def _viewer_pose(T: pin.SE3) -> FloatArray:
+    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(T)
+    return np.array([qw, qx, qy, qz, x, y, z])
+
+
+def _read_only(values: ArrayLike) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
