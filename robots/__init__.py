@@ -1,0 +1,7 @@
+"""Arms as Pinocchio models behind one small class, with their inverses and drawings."""
+
+from robots.arm import Arm, Unreachable
+from robots.catalogue import load, names
+from robots.drawing import Body
+
+__all__ = ["Arm", "Body", "Unreachable", "load", "names"]

@@ -1,0 +1,115 @@
+"""Franka Panda and UR5 from the URDF files of the package example-robot-data."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
+from math import pi
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+from robots import collada, numeric
+from robots.arm import Arm
+from robots.drawing import Body, Color, Drawing, body
+
+_TRIANGLES = 60_000  # of a whole arm's drawing
+_PANDA = "panda_description/urdf/panda.urdf"
+_UR5 = "ur_description/urdf/ur5_robot.urdf"
+_FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+
+
+def load_panda() -> Arm:
+    """Franka Panda, fingers locked shut, tip "panda_hand_tcp" (between the finger tips)."""
+    neutral = (0.0, -pi / 4, 0.0, -3 * pi / 4, 0.0, pi / 2, pi / 4)
+    model = _locked(_model(_PANDA), _FINGERS)
+    return Arm("panda", model, "panda_hand_tcp", neutral, numeric.inverse, _panda_drawing)
+
+
+def load_ur5() -> Arm:
+    """Universal Robots UR5, tip "tool0" (the flange).
+
+    At rest the elbow is up and the flange points straight down, 0.45 m in front of the base's
+    axis and 0.25 m above its foot.
+    """
+    shoulder, elbow = -1.55, 2.03
+    neutral = (0.0, shoulder, elbow, -pi / 2 - shoulder - elbow, -pi / 2, 0.0)
+    return Arm("ur5", _model(_UR5), "tool0", neutral, numeric.inverse, _ur5_drawing)
+
+
+def _share() -> Path:
+    try:
+        package = distribution("example-robot-data")
+    except PackageNotFoundError as error:
+        raise RuntimeError("the package example-robot-data is not installed") from error
+    return Path(str(package.locate_file("cmeel.prefix/share")))
+
+
+def _path(urdf: str) -> str:
+    return str(_share() / "example-robot-data" / "robots" / urdf)
+
+
+def _model(urdf: str) -> pin.Model:
+    return pin.buildModelFromUrdf(_path(urdf))
+
+
+def _locked(model: pin.Model, joints: tuple[str, ...]) -> pin.Model:
+    """The model with some joints fixed at zero."""
+    ids = [int(model.getJointId(name)) for name in joints]
+    return pin.buildReducedModel(model, ids, np.zeros(model.nq))
+
+
+@cache
+def _panda_drawing() -> Drawing:
+    return Drawing(_bodies(_PANDA, _FINGERS, linear=False))
+
+
+@cache
+def _ur5_drawing() -> Drawing:
+    # These files were written with linear colours; shown as they are the arm would be near black.
+    return Drawing(_bodies(_UR5, (), linear=True))
+
+
+def _bodies(urdf: str, locked: tuple[str, ...], linear: bool) -> tuple[Body, ...]:
+    """The visual meshes as bodies of one colour, thinned to the triangle budget."""
+    model = _model(urdf)
+    share = str(_share())
+    visual = pin.buildGeomFromUrdf(
+        model, _path(urdf), pin.GeometryType.VISUAL, package_dirs=[share]
+    )
+    ids = [int(model.getJointId(name)) for name in locked]
+    model, visual = pin.buildReducedModel(model, visual, ids, np.zeros(model.nq))
+    merged: dict[tuple[str, Color], list[trimesh.Trimesh]] = {}
+    for shape in visual.geometryObjects:
+        frame = model.names[shape.parentJoint]
+        for color, vertices, faces in collada.read(Path(shape.meshPath)):
+            mesh = trimesh.Trimesh(vertices * shape.meshScale, faces)
+            mesh.apply_transform(shape.placement.homogeneous)
+            merged.setdefault((frame, _rgb(color, linear)), []).append(mesh)
+    total = sum(len(mesh.faces) for meshes in merged.values() for mesh in meshes)
+    keep = min(1.0, _TRIANGLES / total)
+    return tuple(
+        body(f"{frame}_{i}", frame, color, *[_thinned(mesh, keep) for mesh in meshes])
+        for i, ((frame, color), meshes) in enumerate(merged.items())
+    )
+
+
+def _thinned(mesh: trimesh.Trimesh, keep: float) -> trimesh.Trimesh:
+    """The mesh with about `keep` of its triangles; small ones stay whole."""
+    if keep >= 1.0 or len(mesh.faces) < 200:
+        return mesh
+    vertices, faces = fast_simplification.simplify(
+        np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces), 1.0 - keep
+    )
+    return trimesh.Trimesh(vertices, faces)
+
+
+def _rgb(color: tuple[float, float, float], linear: bool) -> Color:
+    value = np.clip(np.array(color), 0.0, 1.0)
+    if linear:
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    red, green, blue = np.rint(255 * value).astype(int)
+    return int(red), int(green), int(blue)
