@@ -2,19 +2,35 @@
 
 from vf.closest import Feature, closest_point
 from vf.conditions import every_plane, paper_planes
+from vf.controller import Controller, Settings, Status, Step, Timings
 from vf.cover import certified_planes
+from vf.fixtures import RULES, Fixture, MeshFixture
+from vf.haptics import force
 from vf.planes import Planes, Rule
+from vf.qp import ConstrainedLeastSquares, Solution, Solver
 from vf.surface import Contacts, Edge, Surface
 
 __all__ = [
+    "RULES",
+    "ConstrainedLeastSquares",
     "Contacts",
+    "Controller",
     "Edge",
     "Feature",
+    "Fixture",
+    "MeshFixture",
     "Planes",
     "Rule",
+    "Settings",
+    "Solution",
+    "Solver",
+    "Status",
+    "Step",
     "Surface",
+    "Timings",
     "certified_planes",
     "closest_point",
     "every_plane",
+    "force",
     "paper_planes",
 ]

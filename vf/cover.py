@@ -285,7 +285,7 @@ def cover(  # type: ignore[no-untyped-def]
             tree, edges, t, rest, corners_left, px, py, pz, rest2, rounding, x, y, z
         )
         room = nx * x + ny * y + nz * z
-        if not base < room:
+        if not room - base > 4.0 * rounding:
             # x is on the triangle within rounding: no plane separates them, so no step is safe.
             return m, 0.0
         offset = base + tip_radius + standoff

@@ -1,0 +1,96 @@
+"""Fixtures: each turns the tool's position into planes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from vf.conditions import every_plane, paper_planes
+from vf.cover import certified_planes
+from vf.planes import FloatArray, Planes, Rule
+from vf.surface import Surface
+
+RULES = ("certified", "paper", "all", "off")
+
+
+class Fixture(Protocol):
+    """What the controller asks of a fixture. Answers depend on the arguments alone."""
+
+    radius: float | None  # of the motion sphere [m]; None: as far as the arm can go in a tick
+    certified: bool  # whether a verified step provably stays on its side
+
+    def planes(
+        self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
+    ) -> Planes:
+        """Planes with n·x ≥ o for a tip of `tip_radius` centred at x (3,), base frame [m]."""
+        ...
+
+    def inside(self, x: FloatArray) -> bool:
+        """Whether x (3,) is where the tool must never be."""
+        ...
+
+    def depth(self, x: FloatArray) -> float:
+        """Distance of x (3,) to the way out, asked only inside [m]."""
+        ...
+
+
+class MeshFixture:
+    """Keeps the tool on its side of a mesh.
+
+    Args:
+        surface: the anatomy, in the arm's base frame.
+        rule: "certified", "paper" (Conditions 1–3), "all" (every face plane) or "off".
+        radius: of the motion sphere [m], None: as far as the arm can go in a tick.
+
+    Raises:
+        ValueError: unknown rule, or a radius that is not positive and finite.
+    """
+
+    def __init__(
+        self, surface: Surface, rule: str = "certified", radius: float | None = 5e-3
+    ) -> None:
+        if rule not in RULES:
+            raise ValueError(f"unknown rule {rule!r}: choose one of {', '.join(RULES)}")
+        if radius is not None and not (np.isfinite(radius) and radius > 0.0):
+            raise ValueError(f"the radius must be a positive length in metres, got {radius!r}")
+        self.surface = surface
+        self.rule = rule
+        self.radius = radius
+        self.certified = rule in ("certified", "off")
+
+    def inside(self, x: FloatArray) -> bool:
+        return self.rule != "off" and self.surface.inside(x)
+
+    def depth(self, x: FloatArray) -> float:
+        return self.surface.nearest(x)[0]
+
+    def planes(
+        self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
+    ) -> Planes:
+        if self.rule == "off":
+            return Planes.none(radius)
+        if self.rule == "certified":
+            if inside:
+                return self._way_out(x, radius, standoff + tip_radius)
+            return certified_planes(self.surface, x, radius, standoff, tip_radius)
+        choose = paper_planes if self.rule == "paper" else every_plane
+        planes = choose(self.surface, x, radius + tip_radius)
+        # Towards x by the standoff, but never past it: standing still stays allowed.
+        offsets = np.minimum(planes.offsets + standoff + tip_radius, planes.normals @ x)
+        return replace(planes, offsets=offsets, radius=radius)
+
+    def _way_out(self, x: FloatArray, radius: float, clearance: float) -> Planes:
+        """From inside: one plane at x that lets only motion towards the nearest surface pass."""
+        distance, triangle, point = self.surface.nearest(x)
+        normal = self.surface.normals[triangle] if distance == 0.0 else (point - x) / distance
+        return Planes(
+            normal[None, :].copy(),
+            np.array([normal @ x]),
+            point[None, :],
+            np.array([triangle]),
+            np.array([int(Rule.EXIT)]),
+            # Through the wall and clear of it, not across whatever lies behind.
+            min(radius, distance + 2.0 * clearance),
+        )
