@@ -54,7 +54,7 @@ class Arm:
         self.joints: tuple[str, ...] = tuple(model.names)[1:]
         self.lower = _read_only(model.lowerPositionLimit)
         self.upper = _read_only(model.upperPositionLimit)
-        self.velocity = _read_only(model.upperVelocityLimit)
+        self.velocity = _read_only(model.velocityLimit)
         self._shape = (model.nq,)
         self._model = model
         self._data = model.createData()
