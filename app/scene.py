@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,8 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
     notes += [str(warning.message) for warning in caught]
     vertices = meshes.place(vertices, T_base_tip)
 
+    say("preparing the kernels (the first start compiles them: about half a minute)")
+    _warm_up()
     say(f"building the tree of {len(faces):,} triangles")
     surface = vf.Surface.from_arrays(vertices, faces)
     if not surface.closed:
@@ -114,7 +117,7 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
 
 
 def plant(scene: Scene, options: Options) -> Plant:
-    """A controller for this scene with these settings, ready to tick (milliseconds once warm)."""
+    """A controller for this scene with these settings, ready to tick (takes milliseconds)."""
     arm = scene.arm.copy()
     fixture = vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
     settings = vf.Settings(
@@ -124,7 +127,8 @@ def plant(scene: Scene, options: Options) -> Plant:
         force_gain=options.force_gain,
     )
     controller = vf.Controller(arm, [fixture], settings)
-    controller.warm_up()
+    # The solver's workspace is set up by the first tick: not one of the loop's.
+    controller.step(scene.start, scene.T_base_start)
     return Plant(
         arm=arm,
         controller=controller,
@@ -136,6 +140,12 @@ def plant(scene: Scene, options: Options) -> Plant:
         stale_after=options.stale_after,
         autopilot=scene.autopilot,
     )
+
+
+@cache
+def _warm_up() -> None:
+    """Have every kernel of a tick compiled; once in a process."""
+    vf.Controller(robots.load("point"), []).warm_up()
 
 
 def clearance(options: Options) -> float:

@@ -1,0 +1,100 @@
+import math
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.settings import (
+    RANGES,
+    OptionError,
+    Options,
+    format_length,
+    in_range,
+    parse,
+    parse_length,
+    parse_radius,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [
+        ("5mm", 0.005),
+        ("0.5 mm", 0.0005),
+        ("0.005", 0.005),
+        (".5cm", 0.005),
+        ("20um", 2e-5),
+        ("20µm", 2e-5),
+        ("1e-3m", 1e-3),
+        ("0.2in", 0.00508),
+    ],
+)
+def test_lengths(text: str, metres: float) -> None:
+    assert parse_length(text) == pytest.approx(metres, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["", "mm", "5 parsec", "5mm 3", "nan", "inf", "five", "5MM"])
+def test_what_is_no_length_says_how_to_write_one(text: str) -> None:
+    with pytest.raises(OptionError, match=r"is not a length: write a number and a unit.*5mm"):
+        parse_length(text)
+    with pytest.raises(OptionError, match="write auto"):
+        parse_radius(text)
+
+
+@given(st.floats(1e-7, 10.0))
+def test_a_printed_length_reads_back(metres: float) -> None:
+    assert parse_length(format_length(metres)) == pytest.approx(metres, rel=1e-4)
+
+
+def test_auto_is_a_radius() -> None:
+    assert parse_radius("auto") is None
+    assert format_length(None) == "auto"
+
+
+def test_the_command_line_defaults_are_the_options_defaults() -> None:
+    assert parse([], "") == Options()
+    assert (Options().mesh, Options().robot, Options().rule) == ("skull", "psm", "certified")
+    assert (Options().radius, Options().rate) == (5e-3, 1000.0)
+    assert (Options().host, Options().port) == ("127.0.0.1", 8080)
+
+
+def test_the_command_line_is_read() -> None:
+    words = "--mesh cube --unit mm --robot point --rule paper --radius auto --rate 500"
+    words += " --host 0.0.0.0 --port 0 --standoff 0.05mm --tip-radius 1mm"
+    options = parse(words.split(), "")
+    assert options == Options(
+        "cube", "mm", "point", "paper", None, 500.0, "0.0.0.0", 0, 5e-5, 1e-3
+    )
+    assert options.dt == pytest.approx(2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("radius", 0.5, "radius 500mm is outside 0.05mm to 20mm"),
+        ("radius", math.nan, "radius nan is outside"),
+        ("rate", 0.0, "rate 0 is outside 10 to 20000"),
+        ("tip_radius", -1e-3, "tip_radius -1mm is outside 0mm to 5mm"),
+        ("port", 70_000, "port 70000 is outside 0 to 65535"),
+    ],
+)
+def test_numbers_out_of_range_are_named(name: str, value: float, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        Options(**{name: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", sorted(RANGES))
+def test_panel_values_are_clamped(name: str) -> None:
+    low, high = RANGES[name]
+    assert in_range(name, low - 1.0) == low
+    assert in_range(name, math.inf) == high
+    assert in_range(name, (low + high) / 2) == (low + high) / 2
+    with pytest.raises(OptionError, match="must be a number"):
+        in_range(name, math.nan)
+
+
+def test_settings_do_not_load_the_kernels() -> None:
+    code = "import sys, app.settings; sys.exit('numba' in sys.modules or 'vf' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
