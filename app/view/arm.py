@@ -1,0 +1,66 @@
+"""Layer: the arm, its bodies hung on one frame for each thing that moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.scene import Scene
+from app.view.units import to_buffer, to_view
+from robots import Arm
+
+RESTING = 1e-7  # poses that change by less are not sent [m, quaternion units]
+
+
+class ArmDrawing:
+    """The arm's meshes; moving them costs two messages for a joint, not for a body."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._api = api
+        self._arm: Arm | None = None
+        self._root: viser.FrameHandle | None = None
+        self._links: list[tuple[int, viser.FrameHandle]] = []  # row of placements, node
+        self._shown: NDArray[np.float64] | None = None
+        self._visible = True
+
+    def set_scene(self, scene: Scene) -> None:
+        """Draw this scene's arm; the old one goes if it is another."""
+        if self._arm is not None and self._arm.name == scene.arm.name:
+            self._arm = scene.arm
+            return
+        if self._root is not None:
+            self._root.remove()
+        self._arm, self._links, self._shown = scene.arm, [], None
+        self._root = self._api.add_frame("/arm", show_axes=False, visible=self._visible)
+        links: dict[str, str] = {}
+        for row, body in enumerate(scene.arm.bodies):
+            if body.frame not in links:
+                links[body.frame] = f"/arm/link{len(links)}"
+                node = self._api.add_frame(links[body.frame], show_axes=False)
+                self._links.append((row, node))
+            self._api.add_mesh_simple(
+                f"{links[body.frame]}/body{row}",
+                vertices=to_buffer(body.vertices),
+                faces=body.faces,
+                color=body.color,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
+    def show(self, visible: bool) -> None:
+        """Layer switch."""
+        self._visible = visible
+        if self._root is not None:
+            self._root.visible = visible
+
+    def update(self, q: NDArray[np.float64]) -> None:
+        """Move the bodies to the joint positions q (n,)."""
+        if self._arm is None or len(q) != len(self._arm.lower):
+            return  # telemetry of the scene before
+        placements = self._arm.placements(q)  # (bodies, 7): wxyz, position [m]
+        for row, node in self._links:
+            if self._shown is None or np.abs(placements[row] - self._shown[row]).max() > RESTING:
+                node.wxyz = placements[row, :4]
+                node.position = to_view(placements[row, 4:])
+        self._shown = placements

@@ -1,0 +1,85 @@
+"""Where to look from: composed views of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.scene import Scene
+from app.view.units import to_view
+
+FloatArray = NDArray[np.float64]
+
+FIELD_OF_VIEW = np.deg2rad(40.0)  # vertical [rad]
+NEAREST = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
+FARTHEST = 2000.0  # 20 m
+# From the front right and above, the side of the mesh that the arms' bodies do not hide.
+DIRECTION = np.array([0.62, 0.68, 0.40]) / np.linalg.norm([0.62, 0.68, 0.40])
+
+
+@dataclass(frozen=True)
+class View:
+    """Eye and what it looks at, (3,) each, arm base frame [m]; up is +z."""
+
+    eye: FloatArray
+    look_at: FloatArray
+
+
+def anatomy_view(scene: Scene) -> View:
+    """The mesh with the tool above it: the first sight."""
+    low, high = scene.vertices_shown.min(axis=0), scene.vertices_shown.max(axis=0)
+    p_tip = scene.T_base_start.translation
+    centre = 0.5 * (low + high)
+    centre[2] = 0.35 * low[2] + 0.65 * max(high[2], p_tip[2])
+    return _framing(centre, 0.58 * float(np.linalg.norm(high - low)))
+
+
+def arm_view(scene: Scene, q: FloatArray) -> View:
+    """The whole arm and the mesh."""
+    placements = scene.arm.placements(q)
+    corners = [scene.vertices_shown.min(axis=0), scene.vertices_shown.max(axis=0)]
+    for body, row in zip(scene.arm.bodies, placements, strict=True):
+        reach = float(np.linalg.norm(body.vertices, axis=1).max()) if len(body.vertices) else 0.0
+        middle = _rotated(row[:4], 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0)))
+        half = 0.5 * float(np.linalg.norm(np.ptp(body.vertices, axis=0))) if reach else 0.0
+        corners += [row[4:] + middle - 0.7 * half, row[4:] + middle + 0.7 * half]
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return _framing(0.5 * (low + high), 0.55 * float(np.linalg.norm(high - low)))
+
+
+def tool_view(p_tip: FloatArray, radius: float) -> View:
+    """The tip and its motion sphere of the given radius [m]."""
+    return _framing(np.array(p_tip), 2.2 * max(radius, 5e-4))
+
+
+def compose_first_sight(server: viser.ViserServer, view: View) -> None:
+    """What new clients start with, and where "reset view" goes."""
+    camera = server.initial_camera
+    camera.up = (0.0, 0.0, 1.0)
+    camera.fov = FIELD_OF_VIEW
+    camera.near = NEAREST
+    camera.far = FARTHEST
+    camera.position = to_view(view.eye)
+    camera.look_at = to_view(view.look_at)
+
+
+def move(client: viser.ClientHandle, view: View) -> None:
+    """Put one client's camera there."""
+    with client.atomic():
+        client.camera.up_direction = np.array([0.0, 0.0, 1.0])
+        client.camera.position = to_view(view.eye)
+        client.camera.look_at = to_view(view.look_at)
+
+
+def _framing(centre: FloatArray, half_height: float) -> View:
+    """A ball of that radius [m] just fills the picture's height."""
+    distance = half_height / np.sin(FIELD_OF_VIEW / 2.0)
+    return View(centre + distance * DIRECTION, centre)
+
+
+def _rotated(wxyz: FloatArray, p: FloatArray) -> FloatArray:
+    w, v = wxyz[0], wxyz[1:]
+    return np.asarray(p + 2.0 * np.cross(v, np.cross(v, p) + w * p))

@@ -1,0 +1,244 @@
+"""The page: viser server, scene layers, panel, and the one thread that updates them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import viser
+from numpy.typing import NDArray
+
+from app.messages import Telemetry
+from app.session import Session
+from app.view import camera, readouts
+from app.view.anatomy import Anatomy
+from app.view.arm import ArmDrawing
+from app.view.fixture import FixtureDrawing
+from app.view.hand import Hand
+from app.view.panel import Panel, Readouts
+from app.view.proxy import Proxy
+from app.view.tool import Tool
+
+log = logging.getLogger(__name__)
+
+FRAME = 1.0 / 30.0  # shortest time between two updates of the scene [s]
+READOUT = 0.25  # between two updates of the read-outs [s]
+
+
+class Page:
+    """What browsers see of a session. Close it before the session.
+
+    The view thread reads `session.latest()`, at most `1 / FRAME` times a second, and writes
+    viser's nodes, which costs the interpreter some 0.1 ms each: only what changed, and nothing
+    while nobody watches. The control thread is never asked anything.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+        """Start serving at once.
+
+        Args:
+            port: taken as given; 0 takes a free one. The caller has made sure that host and port
+                can be bound: viser hangs on a host that cannot, and moves on from a taken port.
+        """
+        self._session = session
+        self._host = host
+        self._server = viser.ViserServer(host=host, port=port, label="vf-sandbox", verbose=False)
+        server, api = self._server, self._server.scene
+        server.gui.configure_theme(
+            control_width="medium",
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(0, 114, 178),
+        )
+        _light(api)
+        self._scene_version = -1
+        self._anatomy = Anatomy(api)
+        self._arm = ArmDrawing(api)
+        self._fixture = FixtureDrawing(api)
+        self._tool = Tool(api)
+        self._proxy = Proxy(api, session.handle)
+        self._hand = Hand(session, server, self._proxy, self._tell)
+        self._panel = Panel(server, session, self._hand, self._tell, self._look, self._layers())
+        self._readouts = Readouts(server)
+        server.gui.main_panel.dock_right()
+        self._readouts.panel.dock_left()
+        self._readouts.panel.set_width(262)
+
+        self._before: Telemetry | None = None  # at the last read-out
+        self._tip_before: NDArray[np.float64] | None = None
+        self._frame()  # the first client finds everything in place
+        self._read_out()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="view", daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """The port really taken."""
+        return int(self._server.get_port())
+
+    @property
+    def url(self) -> str:
+        """Where to point a browser."""
+        host = "127.0.0.1" if self._host in ("0.0.0.0", "::", "") else self._host
+        return f"http://[{host}]:{self.port}" if ":" in host else f"http://{host}:{self.port}"
+
+    @property
+    def server(self) -> viser.ViserServer:
+        """The viser server, for tests and for taking pictures."""
+        return self._server
+
+    @property
+    def gizmo_pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The gizmo as the server has it: wxyz (4,), position (3,) in scene units."""
+        return np.array(self._proxy.gizmo.wxyz), np.array(self._proxy.gizmo.position)
+
+    def close(self) -> None:
+        """Stop the view thread and the server. Safe to call twice."""
+        if self._stop.is_set():
+            return
+        self._stop.set()
+        self._thread.join()
+        self._hand.close()
+        self._server.stop()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._stop.wait(FRAME):
+            try:
+                if not self._server.get_clients():
+                    self._hand.tend(None, False)
+                    continue
+                self._frame()
+                if time.monotonic() >= due:
+                    due = time.monotonic() + READOUT
+                    self._read_out()
+            except Exception:
+                # One bad frame (a node removed under our hands) must not end the picture.
+                if self._stop.is_set():
+                    return
+                log.exception("a frame of the page failed")
+                self._stop.wait(1.0)
+
+    def _frame(self) -> None:
+        """Bring the scene up to the newest tick."""
+        session, telemetry = self._session, self._session.latest()
+        scene, options = session.scene, session.options
+        with self._server.atomic():
+            if scene.version != self._scene_version:
+                self._adopt()
+            self._hand.tend(telemetry.target, telemetry.autopilot)
+            if telemetry.scene != scene.version:
+                return  # the loop has not swapped yet
+            self._arm.update(telemetry.q)
+            step = telemetry.step
+            if step is None:
+                tip, force = scene.T_base_start, np.zeros(3)
+            else:
+                tip, force = step.tip, step.force
+                self._fixture.update(step, scene.surface)
+            self._tool.update(tip.translation, options.tip_radius, force)
+            self._proxy.update(self._handle(telemetry), telemetry.target, tip.translation)
+
+    def _handle(self, telemetry: Telemetry) -> pin.SE3:
+        """Where the gizmo is: in the autopilot's hand or in the operator's."""
+        if telemetry.autopilot and telemetry.target is not None:
+            return telemetry.target
+        return self._session.handle
+
+    def _adopt(self) -> None:
+        """Draw another scene, and look at it."""
+        scene = self._session.scene
+        self._anatomy.set_scene(scene)
+        self._arm.set_scene(scene)
+        view = camera.anatomy_view(scene)
+        camera.compose_first_sight(self._server, view)
+        if self._scene_version >= 0:
+            for client in self._server.get_clients().values():
+                camera.move(client, view)
+        self._scene_version = scene.version
+
+    def _read_out(self) -> None:
+        session, telemetry = self._session, self._session.latest()
+        scene, step = session.scene, telemetry.step
+        joints = tuple(scene.arm.joints)
+        in_sphere, speed = 0, 0.0
+        if step is not None and telemetry.scene == scene.version:
+            p_tip = np.array(step.tip.translation)
+            in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
+            before = self._before
+            if before is not None and self._tip_before is not None:
+                elapsed = telemetry.time - before.time
+                if elapsed > 0.0 and before.scene == telemetry.scene:
+                    speed = float(np.linalg.norm(p_tip - self._tip_before)) / elapsed
+            self._before, self._tip_before = telemetry, p_tip
+        extras = readouts.Extras(in_sphere, speed, joints)
+        with self._server.atomic():
+            self._readouts.show(readouts.readouts(telemetry, session.options, extras))
+            clutched = self._panel.clutched
+            self._panel.set_banner(readouts.banner(telemetry, joints, clutched))
+            self._panel.sync()
+
+    def _look(self, client: viser.ClientHandle, name: str) -> None:
+        """Move one client's camera to a preset."""
+        scene, telemetry = self._session.scene, self._session.latest()
+        step = telemetry.step
+        tip = scene.T_base_start if step is None else step.tip
+        if name == "Whole arm":
+            camera.move(client, camera.arm_view(scene, scene.start))
+        elif name == "Anatomy":
+            camera.move(client, camera.anatomy_view(scene))
+        elif name == "Tool":
+            radius = 5e-3 if step is None else step.radius
+            camera.move(client, camera.tool_view(tip.translation, radius))
+
+    def _tell(self, client: viser.ClientHandle | None, text: str) -> None:
+        """A notification on one client's page."""
+        if client is not None:
+            client.add_notification("vf-sandbox", text, color="orange", auto_close_seconds=6.0)
+
+    def _layers(self) -> dict[str, tuple[bool, Callable[[bool], None]]]:
+        """The layer switches, by their names in the panel, and whether they start switched on."""
+        fixture = self._fixture
+
+        def sphere(on: bool) -> None:
+            fixture.show_sphere = on
+
+        def planes(on: bool) -> None:
+            fixture.show_planes = on
+
+        def normals(on: bool) -> None:
+            fixture.show_normals = on
+
+        def triangles(on: bool) -> None:
+            fixture.show_triangles = on
+
+        def names(on: bool) -> None:
+            self._proxy.show_labels(on)
+            self._anatomy.show_ruler(on)
+
+        return {
+            "Anatomy": (True, self._anatomy.show),
+            "Translucent anatomy": (False, self._anatomy.set_translucent),
+            "Arm": (True, self._arm.show),
+            "Motion sphere": (True, sphere),
+            "Planes": (True, planes),
+            "Normals": (True, normals),
+            "Active triangles": (True, triangles),
+            "Force": (True, self._tool.show_force),
+            "Tether": (True, self._proxy.show_tether),
+            "Names and scale bar": (True, names),
+        }
+
+
+def _light(api: viser.SceneApi) -> None:
+    """Even light with one main direction, so that shapes read without hard shadows."""
+    # viser's own lights wash out light colours such as bone.
+    api.configure_default_lights(False, cast_shadow=False)
+    api.configure_environment_map("studio", environment_intensity=0.25)
+    api.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130))
+    api.add_light_directional("/light/sun", intensity=1.6, position=(60.0, 25.0, 80.0))

@@ -1,0 +1,69 @@
+"""Colours and words for what the page shows, each in one place.
+
+The colours are Okabe and Ito's, which people with any of the common colour blindnesses can tell
+apart (jfly.uni-koeln.de/color).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import vf
+
+Rgb = tuple[int, int, int]
+
+ORANGE: Rgb = (230, 159, 0)
+SKY: Rgb = (86, 180, 233)
+GREEN: Rgb = (0, 158, 115)
+YELLOW: Rgb = (240, 228, 66)
+BLUE: Rgb = (0, 114, 178)
+VERMILION: Rgb = (213, 94, 0)
+PURPLE: Rgb = (204, 121, 167)
+BLACK: Rgb = (20, 20, 20)
+
+BONE: Rgb = (232, 222, 202)
+SPHERE = SKY
+TOOL = BLACK
+PROXY: Rgb = (110, 70, 150)
+FORCE = VERMILION
+
+
+@dataclass(frozen=True)
+class Look:
+    """How planes of one rule are drawn and called."""
+
+    color: Rgb
+    name: str
+    meaning: str
+
+
+LOOKS: dict[vf.Rule, Look] = {
+    vf.Rule.FACE: Look(BLUE, "Condition 1, face", "the closest point lies inside the face"),
+    vf.Rule.RIDGE: Look(ORANGE, "Condition 2, ridge", "the plane faces the tool from an edge"),
+    vf.Rule.VALLEY: Look(GREEN, "Condition 3, valley", "the face continues beyond its edge"),
+    vf.Rule.NAIVE: Look(PURPLE, "no condition", "every face in the sphere, as in rule “all”"),
+    vf.Rule.EXIT: Look(YELLOW, "way out", "the tool is inside: only outward motion passes"),
+}
+
+RULE_HELP: dict[str, str] = {
+    "certified": "Separating planes that cover every triangle in the sphere: the tool cannot "
+    "cross the surface, on any mesh.",
+    "paper": "Conditions 1–3 of Li et al. 2020. Right on clean closed meshes; can leak on "
+    "damaged ones.",
+    "all": "The plane of every face in the sphere, without conditions: blocks free space too.",
+    "off": "No fixture: the tool goes wherever the proxy is.",
+}
+
+STATUS_HELP: dict[vf.Status, str] = {
+    vf.Status.SOLVED: "step taken as solved",
+    vf.Status.SHORTENED: "step shortened by the final check",
+    vf.Status.HELD: "tool held",
+    vf.Status.RECOVERING: "led out to the standoff",
+    vf.Status.INSIDE: "tool inside the anatomy",
+    vf.Status.REFUSED: "proxy refused",
+}
+
+
+def css(color: Rgb) -> str:
+    """The colour for a style attribute."""
+    return f"rgb({color[0]},{color[1]},{color[2]})"

@@ -1,0 +1,355 @@
+"""The panel: everything the operator can set. Values are checked here and by the session."""
+
+from __future__ import annotations
+
+import html
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+import meshes
+import robots
+import vf
+from app.session import Session
+from app.settings import RANGES
+from app.view import palette, readouts
+from app.view.hand import Hand, Tell
+
+RADII: dict[str, float | None] = {
+    "auto": None,
+    "0.5 mm": 0.5e-3,
+    "1 mm": 1e-3,
+    "2 mm": 2e-3,
+    "5 mm (paper)": 5e-3,
+}
+CUSTOM = "other"
+
+Look = Callable[[viser.ClientHandle, str], None]
+VIEWS = ("Whole arm", "Anatomy", "Tool")
+
+_TITLE = (
+    "<div style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;color:#333'>"
+    "Drag the gizmo (the proxy) into the bone: the tool follows until the fixture’s planes "
+    "stop it.</div>"
+)
+_NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:#666"
+
+
+class Panel:
+    """The right-hand panel. `sync` brings it in line with what the session really does.
+
+    Attributes:
+        clutched: whether the clutch is pressed; only this panel presses it.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        session: Session,
+        hand: Hand,
+        tell: Tell,
+        look: Look,
+        layers: dict[str, tuple[bool, Callable[[bool], None]]],
+    ) -> None:
+        self._gui = server.gui
+        self._session = session
+        self._hand = hand
+        self._tell = tell
+        self._look = look
+        self._building = threading.Lock()
+        self._note: str | None = None
+        self.clutched = False
+        self._gui.add_html(_TITLE)
+        self._banner = self._gui.add_html("")
+        self._drive_controls()
+        self._fixture_controls()
+        self._scene_controls()
+        self._teleop_controls()
+        self._view_controls(layers)
+        self.sync()
+
+    def set_banner(self, text: str) -> None:
+        """HTML of the line that tells the state."""
+        self._banner.content = text
+
+    def sync(self) -> None:
+        """Show the session's values in every control that shows another one."""
+        options, telemetry = self._session.options, self._session.latest()
+        _show(self._rule, options.rule)
+        self._rule_help.content = _note(palette.RULE_HELP[options.rule])
+        _show(self._radius_preset, _preset(options.radius))
+        if options.radius is not None:
+            _show(self._radius, options.radius * 1e3)
+        self._radius.disabled = options.radius is None
+        _show(self._tip_radius, options.tip_radius * 1e3)
+        _show(self._standoff, options.standoff * 1e6)
+        _show(self._scale, options.scale)
+        _show(self._gain, options.force_gain)
+        _show(self._autopilot, telemetry.autopilot)
+        _show(self._clutch, self.clutched)
+        if self._building.locked():
+            return
+        scene = self._session.scene
+        if scene.mesh_name not in self._mesh.options:
+            self._mesh.options = (*self._mesh.options, scene.mesh_name)
+        _show(self._mesh, scene.mesh_name)
+        _show(self._robot, scene.robot)
+        note = _note(" ".join((_about(scene.mesh_name), *scene.notes)).strip())
+        if note != self._note:
+            self._note = note
+            self._scene_note.content = note
+
+    def _drive_controls(self) -> None:
+        session = self._session
+        loop = self._gui.add_button_group(
+            "Loop",
+            ("Run", "Pause", "Step", "Reset"),
+            hint="Step pauses and does one tick. Reset puts the tool back to its start.",
+        )
+        orders = {
+            "Run": session.resume,
+            "Pause": session.pause,
+            "Step": session.single_step,
+            "Reset": self._reset,
+        }
+
+        @loop.on_click
+        async def _loop(event: viser.GuiEvent[Any]) -> None:
+            order = orders.get(str(event.target.value))
+            if order is not None:
+                self._hand.submit(order)
+
+        recall = self._gui.add_button(
+            "Recall proxy to tool", hint="Puts the gizmo back onto the tool tip."
+        )
+
+        @recall.on_click
+        async def _recall(_: viser.GuiEvent[Any]) -> None:
+            self._hand.submit(session.recall)
+
+        self._autopilot = self._gui.add_checkbox(
+            "Autopilot",
+            False,
+            hint="A scripted hand pokes and slides over the surface. Grab the gizmo to take over.",
+        )
+        self._bind(self._autopilot, self._take_autopilot)
+
+    def _fixture_controls(self) -> None:
+        session = self._session
+        with self._gui.add_folder("Fixture"):
+            self._rule = self._gui.add_dropdown(
+                "Rule",
+                tuple(vf.RULES),
+                initial_value=session.options.rule,
+                hint="Which planes guard the tool.",
+            )
+            self._rule_help = self._gui.add_html("")
+            self._radius_preset = self._gui.add_dropdown(
+                "Motion sphere",
+                (*RADII, CUSTOM),
+                initial_value=_preset(session.options.radius),
+                hint="How far one tick may move the tool; triangles beyond it are not asked. "
+                "Auto: the arm's highest tip speed times the tick.",
+            )
+            self._radius = self._length("Radius", "radius", 1e3, "mm", 0.05)
+            self._tip_radius = self._length("Tip radius", "tip_radius", 1e3, "mm", 0.1)
+            self._standoff = self._length("Standoff", "standoff", 1e6, "µm", 5.0)
+        self._bind(self._rule, lambda value: session.set_rule(str(value)))
+        self._bind(self._radius_preset, self._take_preset)
+        self._bind(self._radius, lambda value: session.set_radius(_number(value) * 1e-3))
+        self._bind(self._tip_radius, lambda value: session.set_tip_radius(_number(value) * 1e-3))
+        self._bind(self._standoff, lambda value: session.set_standoff(_number(value) * 1e-6))
+
+    def _scene_controls(self) -> None:
+        scene = self._session.scene
+        known = tuple(meshes.names())
+        if scene.mesh_name not in known:
+            known = (*known, scene.mesh_name)
+        with self._gui.add_folder("Scene"):
+            self._mesh = self._gui.add_dropdown("Mesh", known, initial_value=scene.mesh_name)
+            self._robot = self._gui.add_dropdown(
+                "Robot", tuple(robots.names()), initial_value=scene.robot
+            )
+            self._scene_note = self._gui.add_html("")
+
+        # Plain functions: viser runs them in its pool, where building may take its time.
+        @self._mesh.on_update
+        def _mesh(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                self._change(event.client, mesh=str(event.target.value))
+
+        @self._robot.on_update
+        def _robot(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                self._change(event.client, robot=str(event.target.value))
+
+    def _teleop_controls(self) -> None:
+        session = self._session
+        low, high = RANGES["scale"]
+        with self._gui.add_folder("Teleoperation", expand_by_default=False):
+            self._scale = self._gui.add_number(
+                "Scale",
+                session.options.scale,
+                min=low,
+                max=high,
+                step=0.05,
+                hint="Proxy movement for each movement of the gizmo, which is then the master’s "
+                "handle. The dVRK uses 0.2.",
+            )
+            self._clutch = self._gui.add_checkbox(
+                "Clutch", False, hint="Pressed: the handle moves alone, the tool holds."
+            )
+            low, high = RANGES["force_gain"]
+            self._gain = self._gui.add_number(
+                "Force [N/m]",
+                session.options.force_gain,
+                min=low,
+                max=high,
+                step=10.0,
+                hint="Stiffness of the simulated force, which is capped at 4 N.",
+            )
+        self._bind(self._scale, lambda value: session.set_scale(_number(value)))
+        self._bind(self._clutch, self._take_clutch)
+        self._bind(self._gain, lambda value: session.set_force_gain(_number(value)))
+
+    def _view_controls(self, layers: dict[str, tuple[bool, Callable[[bool], None]]]) -> None:
+        with self._gui.add_folder("View"):
+            views = self._gui.add_button_group("Look at", VIEWS)
+
+            @views.on_click
+            async def _views(event: viser.GuiEvent[Any]) -> None:
+                if event.client is not None:
+                    self._hand.submit(self._look, event.client, str(event.target.value))
+
+            for name, (shown, switch) in layers.items():
+                self._layer(name, shown, switch)
+
+    def _layer(self, name: str, shown: bool, switch: Callable[[bool], None]) -> None:
+        box = self._gui.add_checkbox(name, shown)
+
+        @box.on_update
+        async def _switch(event: viser.GuiEvent[Any]) -> None:
+            switch(bool(event.target.value))
+
+    def _length(
+        self, label: str, option: str, scale: float, unit: str, step: float
+    ) -> viser.GuiNumberHandle[float]:
+        low, high = RANGES[option]
+        value = getattr(self._session.options, option)
+        return self._gui.add_number(
+            f"{label} [{unit}]",
+            float((5e-3 if value is None else value) * scale),
+            min=low * scale,
+            max=high * scale,
+            step=step,
+        )
+
+    def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
+        """Hand a control's value to the session; then show what the session made of it."""
+
+        def order(client: viser.ClientHandle, value: Any) -> None:
+            try:
+                take(value)
+            except (ValueError, TypeError, OverflowError) as error:
+                self._tell(client, f"{error}")
+            finally:
+                self.sync()
+
+        @control.on_update
+        async def _updated(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:  # None: we set it ourselves
+                self._hand.submit(order, event.client, event.target.value)
+
+    def _take_clutch(self, value: object) -> None:
+        self.clutched = bool(value)
+        self._session.clutch(self.clutched)
+
+    def _take_autopilot(self, value: object) -> None:
+        if self._session.set_autopilot(bool(value)):
+            self.clutched = False  # so does the session
+
+    def _reset(self) -> None:
+        self._session.reset()
+        self.clutched = False
+
+    def _take_preset(self, value: object) -> None:
+        if value in RADII:
+            self._session.set_radius(RADII[str(value)])
+        elif value != CUSTOM:
+            raise ValueError(f"no such preset: {value!r}; choose one of {', '.join(RADII)}")
+        elif self._session.options.radius is None:
+            self._session.set_radius(_number(self._radius.value) * 1e-3)
+
+    def _change(self, client: viser.ClientHandle, **wanted: str) -> None:
+        """Another mesh or robot, in a thread of viser's pool; the page goes on meanwhile."""
+        if not self._building.acquire(blocking=False):
+            self._tell(client, "Another change is under way: wait until it is done.")
+            return
+        try:
+            self._mesh.disabled = self._robot.disabled = True
+            self._note = None
+            self._session.change(**wanted, progress=self._progress)
+            self.clutched = False
+        except Exception as error:
+            # Whatever a reader of a user's file may raise, the page and the old scene go on.
+            self._tell(client, f"Not changed: {error}")
+        finally:
+            self._building.release()
+            self._mesh.disabled = self._robot.disabled = False
+            self.sync()
+
+    def _progress(self, text: str) -> None:
+        self._scene_note.content = (
+            f"<div style='{_NOTE};color:{palette.css(palette.BLUE)}'>⏳ {html.escape(text)} …</div>"
+        )
+
+
+class Readouts:
+    """The left-hand panel: numbers, and what the colours mean."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.panel = server.gui.add_panel()
+        with self.panel.add_tab("Read-outs"):
+            self._table = server.gui.add_html("")
+        with self.panel.add_tab("Legend"):
+            server.gui.add_html(readouts.legend())
+
+    def show(self, table: str) -> None:
+        """HTML of the table."""
+        self._table.content = table
+
+
+def _show(control: Any, value: Any) -> None:
+    """Set a control without touching one that shows the value already, but for rounding."""
+    shown = control.value
+    if isinstance(value, float) and isinstance(shown, float):
+        if math.isclose(shown, value, rel_tol=1e-9, abs_tol=1e-12):
+            return
+        value = float(f"{value:.6g}")
+    control.value = value
+
+
+def _number(value: object) -> float:
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number):
+        raise ValueError(f"{number} is not a usable number")
+    return number
+
+
+def _preset(radius: float | None) -> str:
+    for name, value in RADII.items():
+        if radius == value or (radius and value and math.isclose(radius, value, rel_tol=1e-6)):
+            return name
+    return CUSTOM
+
+
+def _note(text: str) -> str:
+    return f"<div style='{_NOTE}'>{html.escape(text)}</div>"
+
+
+def _about(mesh_name: str) -> str:
+    entry = meshes.catalogue().get(mesh_name)
+    return entry.about if entry is not None else ""

@@ -1,0 +1,93 @@
+"""Layer: the gizmo in the operator's hand, the proxy it stands for, and the tether to the tool."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import viser
+from numpy.typing import NDArray
+
+from app.view import palette
+from app.view.units import pose_to_view, to_buffer, to_view
+
+GIZMO_SIZE = 95.0  # length of its arrows [px]
+TAUT = 5e-5  # a shorter tether is not drawn [m]
+
+
+class Proxy:
+    """The gizmo is the master's handle. With scale 1 and no clutch it is the proxy itself;
+    otherwise the proxy is drawn apart, as a ball."""
+
+    def __init__(self, api: viser.SceneApi, handle: pin.SE3) -> None:
+        wxyz, position = pose_to_view(handle)
+        self.gizmo = api.add_transform_controls(
+            "/proxy/gizmo",
+            scale=GIZMO_SIZE,
+            fixed=True,  # sized in pixels: as easy to grab far away as close up
+            line_width=3.5,
+            depth_test=False,
+            opacity=0.9,
+            wxyz=wxyz,
+            position=position,
+        )
+        self._name = api.add_label(
+            "/proxy/gizmo_name",
+            "proxy",
+            position=position,
+            anchor="top-left",
+            font_screen_scale=0.8,
+        )
+        self._ball = api.add_point_cloud(
+            "/proxy/ball",
+            points=np.zeros((1, 3), dtype=np.float32),
+            colors=np.array([palette.PROXY], dtype=np.uint8),
+            point_size=0.12,
+            point_shape="circle",
+            visible=False,
+        )
+        self._ball_name = api.add_label(
+            "/proxy/ball_name", "proxy", anchor="top-left", font_screen_scale=0.8, visible=False
+        )
+        self._tether = api.add_line_segments(
+            "/proxy/tether",
+            points=np.zeros((1, 2, 3), dtype=np.float32),
+            colors=palette.PROXY,
+            thickness=2.5,
+            thickness_units="screen",
+            visible=False,
+        )
+        self._show_tether = True
+        self._show_labels = True
+
+    def show_tether(self, visible: bool) -> None:
+        """Layer switch of the tether."""
+        self._show_tether = visible
+
+    def show_labels(self, visible: bool) -> None:
+        """Layer switch of the names."""
+        self._show_labels = visible
+
+    def place(self, handle: pin.SE3) -> None:
+        """Put the gizmo somewhere; not while it is being dragged."""
+        self.gizmo.wxyz, self.gizmo.position = pose_to_view(handle)
+
+    def update(self, handle: pin.SE3, target: pin.SE3 | None, p_tip: NDArray[np.float64]) -> None:
+        """Handle pose as the session knows it, the proxy (None: none), the tool tip (3,) [m]."""
+        apart = target is not None and bool(
+            np.abs(target.translation - handle.translation).max() > TAUT
+        )
+        self._name.position = to_view(handle.translation)
+        self._name.text = "handle" if apart else "proxy"
+        self._name.visible = self._show_labels
+        goal = handle if target is None else target
+        self._ball.visible = apart
+        self._ball_name.visible = apart and self._show_labels
+        if apart:
+            self._ball.position = to_view(goal.translation)
+            self._ball_name.position = to_view(goal.translation)
+        pulled = goal.translation - p_tip
+        taut = self._show_tether and bool(np.linalg.norm(pulled) > TAUT)
+        if taut:
+            self._tether.position = to_view(p_tip)
+            self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], pulled]]))
+        self._tether.visible = taut

@@ -1,0 +1,174 @@
+"""The numbers and words on the page, as HTML made from one tick's telemetry. Pure functions."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+
+import numpy as np
+
+import vf
+from app.messages import Telemetry
+from app.settings import Options
+from app.view import palette
+from app.view.fixture import LEANING
+
+_HEAD = "padding:5px 0 1px;font-weight:600;color:#666;font-size:11px"
+_NAME = "padding:0 10px 0 0;color:#555"
+_VALUE = "padding:0;text-align:right;white-space:nowrap"
+_UNIT = "padding:0 0 0 5px;color:#888"
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What the view itself measures between two read-outs.
+
+    Attributes:
+        in_sphere: triangles of the mesh cut by the motion sphere.
+        speed: mean speed of the tool tip since the last read-out [m/s].
+        joints: names of the arm's joints.
+    """
+
+    in_sphere: int
+    speed: float
+    joints: tuple[str, ...]
+
+
+def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
+    """The table of read-outs."""
+    stats, step = telemetry.stats, telemetry.step
+    rows = [_section("Tool")]
+    if step is None:
+        rows.append(_row("waiting for the first tick", "", ""))
+    else:
+        beyond = not np.isfinite(step.distance)
+        distance = f"> {step.radius * 1e3:.2f}" if beyond else f"{step.distance * 1e3:.3f}"
+        rows += [
+            _row("distance to surface", distance, "mm"),
+            _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
+            _row("proxy to tool", _error(telemetry), "mm"),
+            _row("simulated force", f"{np.linalg.norm(step.force):.2f}", "N"),
+            _section("Fixture"),
+            _row("rule", options.rule, ""),
+            _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
+            _row("triangles in sphere", f"{extras.in_sphere:,}", ""),
+            _row("active planes", f"{len(step.planes):,}", ""),
+            *_by_condition(step),
+            _row("QP", str(step.solver), ""),
+            _row("outcome", step.status.name, ""),
+        ]
+    rows += [
+        _section("Control loop"),
+        _row("rate", f"{stats.rate:,.0f}", "Hz"),
+        _row("tick, median", f"{stats.tick_median * 1e6:,.0f}", "µs"),
+        _row("tick, worst of 1 s", f"{stats.tick_worst * 1e6:,.0f}", "µs"),
+        _row("overruns", f"{stats.overruns:,}", ""),
+        _section("Ticks by outcome"),
+    ]
+    rows += [_row(s.name, f"{stats.counts.get(s, 0):,}", "") for s in vf.Status]
+    return (
+        "<table style='width:calc(100% - 1.5em);margin:0 .75em .5em;font-size:12px;"
+        "line-height:1.32;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
+        + "".join(rows)
+        + "</table>"
+    )
+
+
+def banner(telemetry: Telemetry, joints: tuple[str, ...], clutched: bool) -> str:
+    """One coloured line on what the operator must know now; a calm one if there is nothing."""
+    text, color = _state(telemetry, joints, clutched)
+    return (
+        f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
+        f"background:#f3f3f3;color:#222;font-size:12.5px;min-height:1.6em'>{html.escape(text)}</div>"
+    )
+
+
+def legend() -> str:
+    """What the colours of planes and triangles, and the other signs, mean."""
+    signs = [
+        (look.color, f"<b>{html.escape(look.name)}</b>: {html.escape(look.meaning)}")
+        for look in palette.LOOKS.values()
+    ]
+    signs += [
+        (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
+        (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
+        (palette.FORCE, "<b>force</b> on the hand, simulated"),
+    ]
+    rows = "".join(
+        "<div style='display:flex;gap:7px;margin-bottom:2px'><span style='flex:none;width:11px;"
+        f"height:11px;margin-top:3px;border-radius:2px;background:{palette.css(color)}'></span>"
+        f"<span>{text}</span></div>"
+        for color, text in signs
+    )
+    return (
+        f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
+        "<div style='color:#666;margin-top:4px'>Filled triangles gave the discs of the same "
+        "colour; a stronger disc is one the tool leans on.</div></div>"
+    )
+
+
+def _state(telemetry: Telemetry, joints: tuple[str, ...], clutched: bool) -> tuple[str, str]:
+    step = telemetry.step
+    orange, red = palette.css(palette.ORANGE), palette.css(palette.VERMILION)
+    calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
+    if telemetry.paused:
+        return "Paused: the loop is stopped. Run, or step tick by tick.", orange
+    if telemetry.stale:
+        return "Stale: contact to the dragging hand is lost, the tool holds.", red
+    if step is not None and step.status == vf.Status.INSIDE:
+        return "Inside the anatomy: only motion towards the outside passes.", red
+    if step is not None and step.status == vf.Status.REFUSED:
+        return "Refused: the proxy is not usable, the tool holds.", red
+    if clutched:
+        return "Clutched: the handle moves alone, the tool holds.", orange
+    if telemetry.target is None and not telemetry.autopilot:
+        return "Ready: drag the gizmo.", calm
+    if step is None:
+        return "Starting …", calm
+    at_limit = [
+        f"{name} ({'upper' if side > 0 else 'lower'})"
+        for name, side in zip(joints, step.limits, strict=False)
+        if side != 0
+    ]
+    if at_limit:
+        return f"Joint limit: {', '.join(at_limit)}.", orange
+    if step.status == vf.Status.HELD:
+        return f"Held: no safe step this tick ({step.solver}).", red
+    if step.status == vf.Status.RECOVERING:
+        return "Recovering: the tool is led out to the standoff.", orange
+    if len(step.planes) and bool((step.multipliers > LEANING).any()):
+        n = int((step.multipliers > LEANING).sum())
+        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}).", busy
+    return ("Autopilot: a scripted proxy is moving." if telemetry.autopilot else "Free."), calm
+
+
+def _by_condition(step: vf.Step) -> list[str]:
+    rows = []
+    for rule, look in palette.LOOKS.items():
+        n = int((step.planes.rules == rule).sum())
+        # The three conditions stand there always, so that the table does not jump.
+        if n or rule in (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY):
+            dot = f"<span style='color:{palette.css(look.color)}'>■</span> {html.escape(look.name)}"
+            rows.append(
+                f"<tr><td style='{_NAME};padding-left:8px'>{dot}</td>"
+                f"<td style='{_VALUE}'>{n}</td><td></td></tr>"
+            )
+    return rows
+
+
+def _error(telemetry: Telemetry) -> str:
+    if telemetry.target is None or telemetry.step is None:
+        return "–"
+    gap = telemetry.target.translation - telemetry.step.tip.translation
+    return f"{np.linalg.norm(gap) * 1e3:.2f}"
+
+
+def _section(title: str) -> str:
+    return f"<tr><td colspan=3 style='{_HEAD}'>{html.escape(title)}</td></tr>"
+
+
+def _row(name: str, value: str, unit: str) -> str:
+    return (
+        f"<tr><td style='{_NAME}'>{html.escape(name)}</td>"
+        f"<td style='{_VALUE}'>{html.escape(value)}</td><td style='{_UNIT}'>{unit}</td></tr>"
+    )

@@ -1,0 +1,66 @@
+"""Layer: the tool tip and the simulated force on the operator's hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.view import palette
+from app.view.units import to_buffer, to_view
+
+FORCE_LENGTH = 0.01  # arrow length for each newton [m]
+LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
+
+
+class Tool:
+    """A dot at the tip (the tip's ball if it has a radius), and the force arrow."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._dot = api.add_point_cloud(
+            "/tool/dot",
+            points=np.zeros((1, 3), dtype=np.float32),
+            colors=np.array([palette.TOOL], dtype=np.uint8),
+            point_size=0.03,
+            point_shape="circle",
+        )
+        self._ball = api.add_icosphere(
+            "/tool/ball", radius=1.0, color=(60, 60, 70), cast_shadow=False, visible=False
+        )
+        self._arrow = api.add_arrows(
+            "/tool/force",
+            points=np.zeros((1, 2, 3), dtype=np.float32),
+            colors=palette.FORCE,
+            shaft_radius=0.06,
+            head_radius=0.16,
+            head_length=0.4,
+            visible=False,
+        )
+        self._label = api.add_label(
+            "/tool/force_label", "", anchor="bottom-center", font_screen_scale=0.8, visible=False
+        )
+        self._show_force = True
+
+    def show_force(self, visible: bool) -> None:
+        """Layer switch of the force arrow."""
+        self._show_force = visible
+
+    def update(
+        self, p_tip: NDArray[np.float64], tip_radius: float, force: NDArray[np.float64]
+    ) -> None:
+        """Tip centre p_tip (3,) [m], its radius [m], the force on the hand (3,) [N]."""
+        self._dot.position = to_view(p_tip)
+        self._ball.visible = tip_radius > 0.0
+        if tip_radius > 0.0:
+            self._ball.position = to_view(p_tip)
+            self._ball.scale = float(to_view(tip_radius))
+        strength = float(np.linalg.norm(force))
+        drawn = self._show_force and strength > LEAST_FORCE
+        if drawn:
+            arrow = FORCE_LENGTH * force
+            self._arrow.points = to_buffer(np.array([[[0.0, 0.0, 0.0], arrow]]))
+            self._arrow.position = to_view(p_tip)
+            self._label.position = to_view(p_tip + arrow)
+            self._label.text = f"simulated force {strength:.1f} N"
+        self._arrow.visible = drawn
+        self._label.visible = drawn
