@@ -61,15 +61,9 @@ def closest_on_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, x, y, z):  # type: i
         # Signed areas towards each edge say whether the projection on the plane is inside.
         rx, ry, rz = x - ax, y - ay, z - az
         sx, sy, sz = x - bx, y - by, z - bz
-        e0 = (
-            nx * (uy * rz - uz * ry) + ny * (uz * rx - ux * rz) + nz * (ux * ry - uy * rx)
-        )
-        e1 = (
-            nx * (wy * sz - wz * sy) + ny * (wz * sx - wx * sz) + nz * (wx * sy - wy * sx)
-        )
-        e2 = (
-            nx * (vz * ry - vy * rz) + ny * (vx * rz - vz * rx) + nz * (vy * rx - vx * ry)
-        )
+        e0 = nx * (uy * rz - uz * ry) + ny * (uz * rx - ux * rz) + nz * (ux * ry - uy * rx)
+        e1 = nx * (wy * sz - wz * sy) + ny * (wz * sx - wx * sz) + nz * (wx * sy - wy * sx)
+        e2 = nx * (vz * ry - vy * rz) + ny * (vx * rz - vz * rx) + nz * (vy * rx - vx * ry)
         if e0 > 0.0 and e1 > 0.0 and e2 > 0.0:
             h = (nx * rx + ny * ry + nz * rz) / area2
             return x - h * nx, y - h * ny, z - h * nz, 0, h * h * area2

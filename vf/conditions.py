@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
-from vf.planes import Planes, Rule
+from vf.planes import Planes
 from vf.surface import Surface
 
 # Closest points of two neighbours count as one within this share of the median edge.
@@ -146,7 +146,7 @@ def _conditions(  # type: ignore[no-untyped-def]
                         smaller = a < i
             if ridge:
                 rule = 2
-                # The neighbour makes the same plane from the same point: the smaller face writes it.
+                # The neighbour makes the same plane: the smaller face writes it.
                 if vertex < 0 and smaller:
                     continue
             elif valley and above:

@@ -167,7 +167,10 @@ class Controller:
         T = self.arm.tip(q)
         corners = np.array([[0, 0, -1], [9, 0, -8], [-9, 9, -8], [-9, -9, -8]], dtype=float)
         faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
-        for centre in (T.translation, T.translation + [0.0, 0.0, 3e-3]):  # outside, inside
+        for centre in (
+            T.translation,
+            T.translation + np.array([0.0, 0.0, 3e-3]),
+        ):  # outside, inside
             surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
             for rule in RULES:
                 fixture = MeshFixture(surface, rule)
@@ -228,7 +231,7 @@ class Controller:
         p_new = T_new.translation
         if any(inside):
             status = Status.INSIDE
-        elif share == 0.0 and solution.dq.any() or solution.solver is Solver.INFEASIBLE:
+        elif (share == 0.0 and solution.dq.any()) or solution.solver is Solver.INFEASIBLE:
             status = Status.HELD
         elif recovering:
             status = Status.RECOVERING
@@ -342,8 +345,9 @@ class Controller:
         zero = np.zeros(3)
         elapsed = perf_counter() - started
         return Step(
-            q, T if T is not None else pin.SE3.Identity(), Planes.none(0.0), zero, Status.REFUSED,
-            Solver.IDLE, np.zeros(0), 0.0, inf, self._idle, Timings(elapsed, 0.0, 0.0, 0.0, elapsed),
+            q, T if T is not None else pin.SE3.Identity(), Planes.none(0.0), zero,
+            Status.REFUSED, Solver.IDLE, np.zeros(0), 0.0, inf, self._idle,
+            Timings(elapsed, 0.0, 0.0, 0.0, elapsed),
         )  # fmt: skip
 
 
@@ -416,9 +420,7 @@ def _prepare(  # type: ignore[no-untyped-def]
     w = np.empty(3)
     for i in range(3):
         for j in range(3):
-            turn[i, j] = (
-                R_goal[i, 0] * R[j, 0] + R_goal[i, 1] * R[j, 1] + R_goal[i, 2] * R[j, 2]
-            )
+            turn[i, j] = R_goal[i, 0] * R[j, 0] + R_goal[i, 1] * R[j, 1] + R_goal[i, 2] * R[j, 2]
     rotation_log(turn, w)
     move = 0.0
     spin = 0.0
@@ -465,15 +467,14 @@ def _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bou
             level += normals[i, k] * points[i, k]
         nearest = min(nearest, d2)
         for j in range(n):
-            rows[i, j] = (
-                normals[i, 0] * J[0, j] + normals[i, 1] * J[1, j] + normals[i, 2] * J[2, j]
-            )
+            rows[i, j] = normals[i, 0] * J[0, j] + normals[i, 1] * J[1, j] + normals[i, 2] * J[2, j]
         if rules[i] == 4:
             bounds[i] = 0.0
             continue
         missing = level + standoff + tip_radius - height
         deficit = max(deficit, missing)
-        missing += HAIR
+        # A plane moved beyond the standoff is obeyed, but being on it is nothing to recover from.
+        missing = max(missing, min(offsets[i] - height, 0.0)) + HAIR
         bounds[i] = RECOVERY * missing if missing > 0.0 else missing
     nearest = np.sqrt(nearest)
     if deficit + HAIR <= 0.0:

@@ -214,11 +214,7 @@ def box_distance2(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     dx, dy, dz = x - boxes[node, 0], y - boxes[node, 1], z - boxes[node, 2]
     d2 = 0.0
     for k in range(3):
-        p = (
-            boxes[node, 6 + 3 * k] * dx
-            + boxes[node, 7 + 3 * k] * dy
-            + boxes[node, 8 + 3 * k] * dz
-        )
+        p = boxes[node, 6 + 3 * k] * dx + boxes[node, 7 + 3 * k] * dy + boxes[node, 8 + 3 * k] * dz
         e = abs(p) - boxes[node, 3 + k]
         if e > 0.0:
             d2 += e * e

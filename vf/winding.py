@@ -112,9 +112,7 @@ def winding_number(tree, dipoles, x, y, z):  # type: ignore[no-untyped-def]
             la = np.sqrt(ax * ax + ay * ay + az * az)
             lb = np.sqrt(bx * bx + by * by + bz * bz)
             le = np.sqrt(ex * ex + ey * ey + ez * ez)
-            det = (
-                ax * (by * ez - bz * ey) + ay * (bz * ex - bx * ez) + az * (bx * ey - by * ex)
-            )
+            det = ax * (by * ez - bz * ey) + ay * (bz * ex - bx * ez) + az * (bx * ey - by * ex)
             div = (
                 la * lb * le
                 + (ax * bx + ay * by + az * bz) * le
