@@ -1,0 +1,145 @@
+"""The PD-tree: its invariants, and its queries against brute force on nasty soups."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+
+import vf
+from vf import pdtree
+
+
+def _soups() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(5)
+
+    def loose(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        corners = np.asarray(corners, dtype=float)
+        return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
+
+    one = rng.normal(size=(1, 3, 3))
+    tiny = rng.normal(size=(500, 1, 3)) + 1e-4 * rng.normal(size=(500, 3, 3))
+    line = np.cumsum(rng.random((300, 3, 1)), axis=1) * np.array([1.0, 2.0, -1.0])
+    steps = 2.0 ** -np.arange(900.0)
+    exponential = steps[:, None, None] * (np.array([1.0, 0, 0]) + 0.1 * rng.normal(size=(900, 3, 3)))
+    grid = np.stack(np.meshgrid(*[np.arange(12.0)] * 2, [0.0]), -1).reshape(-1, 1, 3)
+    return {
+        "one": loose(one),
+        "seven": loose(rng.normal(size=(7, 3, 3))),
+        "random": loose(rng.normal(size=(700, 3, 3))),
+        "all equal": loose(np.repeat(one, 1000, axis=0)),
+        "a point, many times": loose(np.ones((200, 3, 3))),
+        "duplicates": loose(np.repeat(rng.normal(size=(80, 3, 3)), 9, axis=0)),
+        "collinear": loose(line),
+        "one huge, many tiny": loose(np.concatenate([1e3 * rng.normal(size=(1, 3, 3)), tiny])),
+        "exponentially spaced": loose(exponential),
+        "two far clusters": loose(np.concatenate([tiny, tiny[:3] + 1e6])),
+        "flat grid": loose(grid + np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])),
+        "sorted squares": loose((np.arange(600.0) ** 2)[:, None, None] + rng.random((600, 3, 3))),
+    }
+
+
+SOUPS = _soups()
+
+
+def _depth(links: np.ndarray) -> int:
+    depth = np.zeros(len(links), dtype=int)
+    for node, (child, _first, _count) in enumerate(links):
+        if child >= 0:
+            depth[child] = depth[child + 1] = depth[node] + 1
+    return int(depth.max())
+
+
+def check_tree(surface: vf.Surface) -> None:
+    """Every claim that `Tree` makes about its arrays."""
+    tree = surface.tree
+    m = len(surface.faces)
+    assert (np.sort(tree.order) == np.arange(m)).all()
+    corners = surface.vertices[surface.faces]
+    assert (tree.corners.reshape(-1, 3, 3) == corners[tree.order]).all()
+
+    child, first, count = tree.links.T
+    inner = child >= 0
+    parents = np.flatnonzero(inner)
+    assert (child[parents] > parents).all()
+    assert (first[child[parents]] == first[parents]).all()
+    assert (first[child[parents] + 1] == first[parents] + count[child[parents]]).all()
+    assert (count[child[parents]] + count[child[parents] + 1] == count[parents]).all()
+    assert (count >= 1).all()
+    assert (count[~inner] <= pdtree.LEAF).all()
+    covered = np.zeros(m, dtype=int)
+    for leaf in np.flatnonzero(~inner):
+        covered[first[leaf] : first[leaf] + count[leaf]] += 1
+    assert (covered == 1).all()
+    # Each node but the root is the child of exactly one.
+    children = np.concatenate([child[parents], child[parents] + 1])
+    assert (np.sort(children) == np.arange(1, len(tree.links))).all()
+
+    assert _depth(tree.links) + 2 <= pdtree.STACK
+
+    R = tree.boxes[:, 6:].reshape(-1, 3, 3)
+    assert np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
+    scale = np.abs(surface.vertices).max()
+    for node in range(len(tree.links)):
+        own = tree.corners[first[node] : first[node] + count[node]].reshape(-1, 3)
+        box = tree.boxes[node]
+        outside = np.abs((own - box[:3]) @ R[node].T) - box[3:6]
+        assert outside.max() <= 1e-15 * scale + 1e-15, node
+
+
+@pytest.mark.parametrize("name", list(SOUPS))
+def test_invariants(name):
+    check_tree(vf.Surface.from_arrays(*SOUPS[name]))
+
+
+def test_invariants_of_a_real_mesh():
+    check_tree(naive.catalogue("skull-coarse"))
+
+
+@pytest.mark.parametrize("name", list(SOUPS))
+def test_queries_equal_brute_force(name):
+    vertices, faces = SOUPS[name]
+    surface = vf.Surface.from_arrays(vertices, faces)
+    brute = naive.Brute(surface)
+    corners = vertices[faces]
+    rng = np.random.default_rng(17)
+    for trial in range(40):
+        pick = corners[rng.integers(len(corners))]
+        edge = max(np.linalg.norm(pick[1] - pick[0]), 1e-9)
+        x = rng.dirichlet((1, 1, 1)) @ pick + naive.unit(rng) * edge * rng.choice([0, 0.1, 1, 30])
+        radius = edge * 10.0 ** rng.uniform(-1, 1)
+        ids, distances = brute.within(x, radius)
+        # Coordinates' rounding decides about triangles exactly on the sphere.
+        hair = 1e-9 * radius + 1e-13 * np.abs(pick).max()
+        radius = naive.clear_radius(distances, radius, hair)
+        expected = np.sort(ids[distances <= radius])
+        contacts = surface.within(x, radius)
+        case = f"{name}, trial {trial}, x {x.tolist()}, radius {radius!r}"
+        assert (np.sort(contacts.triangles) == expected).all(), case
+        distance, triangle, point = surface.nearest(x)
+        assert distance == pytest.approx(brute.nearest(x), rel=1e-9, abs=hair), case
+        assert np.linalg.norm(point - x) == pytest.approx(distance, rel=1e-9, abs=hair), case
+        on = naive.closest(corners[[triangle]], x)[1][0]
+        assert on == pytest.approx(distance, rel=1e-9, abs=hair), case
+
+
+def test_the_ball_is_closed():
+    """Dyadic coordinates: the distance is exact, and a triangle on the sphere counts."""
+    surface = vf.Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    x = [0.25, 0.25, 0.5]
+    assert len(surface.within(x, 0.5)) == 1
+    assert len(surface.within(x, np.nextafter(0.5, 0))) == 0
+    assert len(surface.within([0.25, 0.25, 0.0], 0.0)) == 1
+
+
+def test_more_contacts_than_the_first_buffer_holds():
+    surface = vf.Surface.from_arrays(*SOUPS["all equal"])
+    assert (np.sort(surface.within([0, 0, 0], 100.0).triangles) == np.arange(1000)).all()
+
+
+def test_nearest_within_a_limit():
+    surface = vf.Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    assert surface.nearest([0.2, 0.2, 3.0], limit=3.5)[0] == 3.0
+    distance, triangle, point = surface.nearest([0.2, 0.2, 3.0], limit=2.5)
+    assert (distance, triangle) == (np.inf, -1)
+    assert (point == [0.2, 0.2, 3.0]).all()
