@@ -116,18 +116,19 @@ def _spots(surface: vf.Surface, start: FloatArray) -> FloatArray:
 
 
 def _below(surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float) -> FloatArray | None:
-    """The highest point (3,) of the surface on the vertical through xy, if there is one."""
-    top, bottom = np.array([*xy, ceiling]), np.array([*xy, floor])
-    triangle = surface.crossing(top, bottom)
-    if triangle < 0:
-        return None
-    corner = surface.vertices[surface.faces[triangle][0]]
-    normal = surface.normals[triangle]
-    slope = float(normal @ (bottom - top))
-    if slope == 0.0:
-        return None
-    t = float(normal @ (corner - top)) / slope
-    return top + min(max(t, 0.0), 1.0) * (bottom - top)
+    """The highest point (3,) of the surface on the vertical through xy, if there is one.
+
+    Found by falling as far as the nearest triangle allows, again and again.
+    """
+    point = np.array([*xy, ceiling])
+    for _ in range(300):
+        distance = surface.nearest(point)[0]
+        if distance < 1e-6:
+            return point
+        point[2] -= distance
+        if point[2] < floor:
+            return None
+    return None  # along a wall: there are better spots
 
 
 def _slide(

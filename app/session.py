@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -327,7 +328,7 @@ def checked_pose(pose: pin.SE3) -> pin.SE3:
 
 
 def _check_distance(pose: pin.SE3) -> None:
-    distance = float(np.linalg.norm(pose.translation))
+    distance = math.hypot(*pose.translation)
     if distance > FARTHEST:
         raise Refused(
             f"the proxy is {distance:.2f} m from the arm's base; at most {FARTHEST:g} m is allowed"

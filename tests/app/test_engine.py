@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -81,7 +82,7 @@ def test_a_silent_drag_goes_stale_after_its_time_and_a_new_command_wakes_it(
     stale = [t.stale for t in seen]
     assert stale.index(True) == 51  # the 50 ms after the tick the command came with are over
     assert all(stale[51:])
-    steps = np.array([np.abs(b.q - a.q).max() for a, b in zip(seen, seen[1:], strict=False)])
+    steps = np.array([np.abs(b.q - a.q).max() for a, b in pairwise(seen)])
     assert (steps[:50] > 0).all()
     assert (steps[50:] == 0).all()
     assert {t.step.status for t in seen[51:] if t.step} == {vf.Status.HELD}
@@ -190,8 +191,8 @@ def test_a_new_scene_keeps_the_tool_only_where_it_is_free(
         there, _ = engine.advance(run, STATS)
     np.testing.assert_allclose(plant.arm.tip(there.q).translation, goal.translation, atol=1e-6)
     vertices = np.asarray(scene.surface.vertices)
-    outside = vf.Surface.from_arrays(vertices - [0.0, 0.0, 0.05], scene.surface.faces)
-    around = vf.Surface.from_arrays(vertices + [0.0, 0.0, 0.02], scene.surface.faces)
+    outside = vf.Surface.from_arrays(vertices - np.array([0.0, 0.0, 0.05]), scene.surface.faces)
+    around = vf.Surface.from_arrays(vertices + np.array([0.0, 0.0, 0.02]), scene.surface.faces)
     free, _ = engine.advance(
         Orders(replace(plant, surface=outside, scene=2), Command(None, 2)), STATS
     )

@@ -64,9 +64,7 @@ def test_the_command_line_is_read() -> None:
     words = "--mesh cube --unit mm --robot point --rule paper --radius auto --rate 500"
     words += " --host 0.0.0.0 --port 0 --standoff 0.05mm --tip-radius 1mm"
     options = parse(words.split(), "")
-    assert options == Options(
-        "cube", "mm", "point", "paper", None, 500.0, "0.0.0.0", 0, 5e-5, 1e-3
-    )
+    assert options == Options("cube", "mm", "point", "paper", None, 500.0, "0.0.0.0", 0, 5e-5, 1e-3)
     assert options.dt == pytest.approx(2e-3)
 
 

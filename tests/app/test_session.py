@@ -1,0 +1,436 @@
+"""Sessions with their real control thread, robots, meshes and controller."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+import meshes
+import robots
+from app import session as sessions
+from app.mailbox import Mailbox
+from app.session import FARTHEST, Refused, Session
+from app.settings import OptionError, Options
+
+Wait = Callable[[Callable[[], bool]], None]
+Moved = Callable[..., pin.SE3]
+
+CATALOGUE = [name for name in meshes.names() if "fine" not in name]
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    with Session(Options(mesh="cube", robot="point")) as running:
+        yield running
+
+
+def tool(session: Session) -> np.ndarray:
+    step = session.latest().step
+    assert step is not None
+    return np.array(step.tip.translation)
+
+
+def seen(session: Session, sequence_of: int) -> bool:
+    return session.latest().sequence >= sequence_of
+
+
+def rests_at(session: Session, point: np.ndarray, within: float = 1e-6) -> Callable[[], bool]:
+    return lambda: float(np.linalg.norm(tool(session) - point)) < within
+
+
+@pytest.mark.parametrize("robot", ["point", "psm"])
+@pytest.mark.parametrize("mesh", CATALOGUE)
+def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
+    mesh: str,
+    robot: str,
+    oracle: type[Any],
+    tape: type[Mailbox],
+    wait_until: Wait,
+    moved: Moved,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tapes: list[Any] = []
+
+    def recorded(value: object = None) -> Mailbox:
+        tapes.append(tape(value))
+        return tapes[-1]
+
+    monkeypatch.setattr(sessions, "Mailbox", recorded)
+    with Session(Options(mesh=mesh, robot=robot)) as session:
+        surface, start = session.scene.surface, session.scene.T_base_start
+        free = moved(start, dx=0.003, dy=-0.002, dz=0.004)
+        session.drive(free)
+        wait_until(lambda: session.latest().step is not None)
+        wait_until(rests_at(session, free.translation))
+        # Into the highest corner that is not on the middle line, where one skull is slit open.
+        beside = surface.vertices[np.abs(surface.vertices[:, 0] - start.translation[0]) > 4e-3]
+        summit = beside[np.argmax(beside[:, 2])]
+        inside = moved(pin.SE3(start.rotation, summit.copy()), dz=-0.01)
+        session.drive(inside)
+        first = session.latest().tick
+        wait_until(lambda: session.latest().tick > first + 600)
+    truth = oracle(surface.vertices, surface.faces)
+    path = np.array([start.translation] + [t.step.tip.translation for t in tapes[1].items[1:]])
+    assert truth.crossings(path) == 0
+    for point in path[:: len(path) // 3]:
+        assert abs(truth.winding(point)) < 0.5
+    # It did push: the proxy is out of reach and the tool came near the surface all the same.
+    assert session.latest().step.distance < 5e-4
+    # The record is of every tick, so the path that was judged is the path that was made.
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2e-3
+
+
+def test_the_proxy_may_be_anything_sensible_and_nothing_else(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    good = moved(session.scene.T_base_start, dx=0.004)
+    session.drive(good)
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(rests_at(session, good.translation))
+    R, p = good.rotation, good.translation
+    mirrored = R.copy()
+    mirrored[:, 0] *= -1.0
+    bad = {
+        "not finite": [
+            pin.SE3(R, np.array([math.nan, 0.0, 0.0])),
+            pin.SE3(R, np.array([0.0, math.inf, 0.0])),
+            pin.SE3(np.full((3, 3), math.nan), p),
+        ],
+        "not a rotation": [pin.SE3(1.1 * R, p), pin.SE3(mirrored, p), pin.SE3(0.0 * R, p)],
+        "at most 2 m": [
+            pin.SE3(R, np.array([0.0, 0.0, FARTHEST + 0.01])),
+            pin.SE3(R, np.array([1e300, 0.0, 0.0])),
+        ],
+    }
+    sequence = session.latest().sequence
+    for reason, poses in bad.items():
+        for pose in poses:
+            with pytest.raises(Refused, match=reason):
+                session.drive(pose, held=True)
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 20)
+    telemetry = session.latest()
+    assert telemetry.sequence == sequence
+    assert telemetry.target.isApprox(good, 1e-12)
+    np.testing.assert_allclose(tool(session), p, atol=1e-6)
+    again = moved(good, dy=0.004)
+    session.drive(again)
+    wait_until(rests_at(session, again.translation))
+
+
+def test_the_caller_may_go_on_using_its_pose(session: Session, wait_until: Wait) -> None:
+    pose = pin.SE3(session.scene.T_base_start)
+    session.drive(pose)
+    pose.translation = np.array([0.0, 0.0, 1.0])
+    wait_until(lambda: session.latest().target is not None)
+    assert session.latest().target.isApprox(session.scene.T_base_start, 1e-12)
+
+
+def test_pause_single_step_and_resume(session: Session, wait_until: Wait, moved: Moved) -> None:
+    session.drive(moved(session.scene.T_base_start, dx=0.25))
+    session.pause()
+    wait_until(lambda: session.latest().paused)
+    before = session.latest()
+    for k in range(1, 4):
+        session.single_step()
+        wait_until(lambda k=k: session.latest().tick >= before.tick + k)
+    assert session.latest().tick == before.tick + 3
+    assert session.latest().paused
+    session.resume()
+    wait_until(lambda: session.latest().tick > before.tick + 20)
+    assert not session.latest().paused
+    # From a running session a single step pauses first.
+    session.single_step()
+    wait_until(lambda: session.latest().paused)
+    tick = session.latest().tick
+    sequence = session.latest().sequence
+    session.drive(moved(session.scene.T_base_start, dx=0.2))
+    wait_until(lambda: session.latest().sequence > sequence)
+    assert session.latest().tick <= tick + 1
+
+
+def test_reset_brings_tool_handle_and_proxy_home(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    goal = moved(session.scene.T_base_start, dx=0.02)
+    session.drive(goal)
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(rests_at(session, goal.translation))
+    session.reset()
+    wait_until(rests_at(session, session.scene.T_base_start.translation, 1e-12))
+    assert session.handle.isApprox(session.scene.T_base_start, 1e-12)
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 50)
+    np.testing.assert_array_equal(session.latest().q, session.scene.start)
+
+
+def test_recall_puts_handle_and_proxy_onto_the_tool(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    session.drive(moved(session.scene.T_base_start, dz=-0.03))
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(lambda: session.latest().step.distance < 1e-4)
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 50)
+    before = tool(session)
+    session.recall()
+    sequence = session.latest().sequence
+    wait_until(
+        lambda: session.latest().sequence >= sequence and session.latest().target is not None
+    )
+    wait_until(lambda: np.linalg.norm(session.latest().target.translation - before) < 1e-5)
+    np.testing.assert_allclose(session.handle.translation, before, atol=1e-5)
+    wait_until(lambda: np.linalg.norm(session.latest().step.force) < 1e-2)
+
+
+def test_a_scaled_handle_moves_the_proxy_less_and_a_new_scale_does_not_jump(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    start = session.scene.T_base_start
+    assert session.set_scale(0.2) == 0.2
+    session.drive(moved(start, dx=0.02))
+    wait_until(lambda: session.latest().target is not None)
+    np.testing.assert_allclose(
+        session.latest().target.translation, moved(start, dx=0.004).translation, atol=1e-12
+    )
+    assert session.set_scale(0.5) == 0.5
+    sequence = session.latest().sequence
+    session.drive(moved(start, dx=0.02))
+    wait_until(lambda: session.latest().sequence > sequence)
+    np.testing.assert_allclose(
+        session.latest().target.translation, moved(start, dx=0.004).translation, atol=1e-12
+    )
+    session.drive(moved(start, dx=0.04))
+    wait_until(lambda: session.latest().sequence > sequence + 1)
+    np.testing.assert_allclose(
+        session.latest().target.translation, moved(start, dx=0.014).translation, atol=1e-12
+    )
+
+
+def test_the_clutch_frees_the_handle_and_latches_anew_on_release(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    start = session.scene.T_base_start
+    goal = moved(start, dx=0.01)
+    session.drive(goal)
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(rests_at(session, goal.translation))
+    session.clutch(True)
+    sequence = session.latest().sequence
+    session.drive(moved(start, dy=0.03), held=True)
+    wait_until(lambda: session.latest().sequence > sequence and session.latest().target is None)
+    held = tool(session)
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 50)
+    np.testing.assert_array_equal(tool(session), held)
+    np.testing.assert_array_equal(session.latest().step.force, 0.0)
+    session.clutch(False)
+    wait_until(lambda: session.latest().target is not None)
+    # The proxy is where the tool is, though the handle is elsewhere ...
+    np.testing.assert_allclose(session.latest().target.translation, held, atol=1e-9)
+    np.testing.assert_allclose(session.handle.translation, moved(start, dy=0.03).translation)
+    # ... and moves as the handle moves from there.
+    session.drive(moved(start, dy=0.03, dz=0.005))
+    wait_until(rests_at(session, held + np.array([0.0, 0.0, 0.005])))
+
+
+def test_a_drag_that_goes_silent_holds_the_tool(wait_until: Wait, moved: Moved) -> None:
+    options = Options(mesh="cube", robot="point", stale_after=0.1)
+    with Session(options) as session:
+        far = moved(session.scene.T_base_start, dz=0.25)
+        session.drive(far, held=True)
+        wait_until(lambda: session.latest().stale)
+        stopped = tool(session)
+        assert stopped[2] < far.translation[2] - 0.05
+        session.touch()
+        wait_until(lambda: not session.latest().stale and tool(session)[2] > stopped[2] + 1e-3)
+        session.drive(far, held=False)
+        wait_until(rests_at(session, far.translation))
+        assert not session.latest().stale
+
+
+def test_settings_change_while_running_and_are_clamped(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    session.drive(moved(session.scene.T_base_start, dz=-0.03))
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(lambda: session.latest().step.distance < 1e-4)
+    assert session.set_radius(1e-3) == 1e-3
+    wait_until(lambda: session.latest().step.radius == 1e-3)
+    assert session.set_radius(1e3) == 2e-2
+    assert session.set_radius(-1.0) == 5e-5
+    assert session.set_radius(None) is None
+    assert session.set_force_gain(1e9) == 1000.0
+    assert session.set_standoff(1.0) == 1e-3
+    assert session.set_scale(-3.0) == 0.05
+    assert session.set_tip_radius(2e-3) == 2e-3
+    top = session.scene.surface.vertices[:, 2].max()
+    wait_until(lambda: abs(tool(session)[2] - top - 3e-3) < 1e-5)  # tip radius and standoff
+    for setter in (session.set_radius, session.set_force_gain, session.set_tip_radius):
+        with pytest.raises(Refused, match="must be a number"):
+            setter(math.nan)
+    assert session.options == Options(
+        "cube", None, "point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,
+        force_gain=1000.0,
+    )  # fmt: skip
+
+
+def test_the_rule_changes_while_running(session: Session, wait_until: Wait, moved: Moved) -> None:
+    below = moved(session.scene.T_base_start, dz=-0.03)
+    top = session.scene.surface.vertices[:, 2].max()
+    session.drive(below)
+    wait_until(lambda: session.latest().step is not None)
+    for rule in ("paper", "all", "certified"):
+        assert session.set_rule(rule) == rule
+        wait_until(lambda: abs(tool(session)[2] - top) < 1e-4)
+        tick = session.latest().tick
+        wait_until(lambda tick=tick: session.latest().tick > tick + 50)
+        assert tool(session)[2] > top
+    with pytest.raises(Refused, match="unknown rule 'soft': choose one of certified, paper, all"):
+        session.set_rule("soft")
+    assert session.options.rule == "certified"
+    session.set_rule("off")
+    wait_until(rests_at(session, below.translation))
+
+
+def test_mesh_and_robot_change_while_running(
+    session: Session, wait_until: Wait, moved: Moved, oracle: type[Any]
+) -> None:
+    session.drive(moved(session.scene.T_base_start, dz=-0.03))
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(lambda: session.latest().step.distance < 1e-4)
+    words: list[str] = []
+    changes: list[dict[str, str]] = [
+        {"mesh": "sphere"}, {"robot": "psm"}, {"mesh": "torus", "robot": "ur5"}, {"robot": "panda"},
+    ]  # fmt: skip
+    for version, change in enumerate(changes, start=2):
+        new = session.change(**change, progress=words.append)
+        assert session.scene is new
+        assert new.version == session.latest().scene == version
+        assert (session.options.mesh, session.options.robot) == (new.mesh_name, new.robot)
+        # The handle is on the tool, the tool is free and at rest.
+        np.testing.assert_allclose(session.handle.translation, tool(session), atol=1e-9)
+        truth = oracle(new.surface.vertices, new.surface.faces)
+        assert abs(truth.winding(tool(session))) < 0.5
+        assert session.latest().target is None
+        goal = moved(session.handle, dx=0.002, dz=0.002)
+        session.drive(goal)
+        wait_until(rests_at(session, goal.translation, 1e-5))
+        assert session.latest().q.shape == robots.load(new.robot).neutral.shape
+    assert any("sphere" in word for word in words)
+    assert any("panda" in word for word in words)
+
+
+def test_a_change_that_fails_keeps_what_was_there(
+    session: Session, wait_until: Wait, moved: Moved, tmp_path: Path
+) -> None:
+    goal = moved(session.scene.T_base_start, dx=0.003)
+    session.drive(goal)
+    wait_until(lambda: session.latest().step is not None)
+    wait_until(rests_at(session, goal.translation))
+    scene, options, handle = session.scene, session.options, session.handle
+    broken = tmp_path / "broken.stl"
+    broken.write_bytes(b"this is no mesh")
+    with pytest.raises(meshes.MeshError, match="no-such-mesh"):
+        session.change(mesh="no-such-mesh")
+    with pytest.raises(meshes.MeshError, match=r"broken\.stl"):
+        session.change(mesh=str(broken))
+    with pytest.raises(OptionError, match="unknown robot 'r2d2': choose one of psm, point"):
+        session.change(robot="r2d2")
+    assert session.scene is scene
+    assert session.options is options
+    assert session.handle is handle
+    again = moved(goal, dz=0.003)
+    session.drive(again)
+    wait_until(rests_at(session, again.translation))
+
+
+def test_a_file_in_millimetres_keeps_the_tool_at_its_surface(
+    tmp_path: Path, session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    path = tmp_path / "block.stl"
+    trimesh.creation.box((40.0, 40.0, 20.0)).export(path)
+    scene = session.change(mesh=str(path), unit="mm")
+    assert scene.mesh_name == "block.stl"
+    assert session.options.unit == "mm"
+    np.testing.assert_allclose(np.ptp(scene.vertices_shown, axis=0), [0.04, 0.04, 0.02], atol=1e-9)
+    top = scene.surface.vertices[:, 2].max()
+    session.drive(moved(scene.T_base_start, dz=-0.02))
+    wait_until(lambda: abs(tool(session)[2] - top) < 1e-4)
+    assert tool(session)[2] > top
+    # A guessed unit and an open mesh are told in words.
+    half = trimesh.creation.box((40.0, 40.0, 20.0))
+    half.update_faces(np.arange(len(half.faces)) > 2)
+    half.export(path)
+    notes = " ".join(session.change(mesh=str(path)).notes)
+    assert "unit" in notes
+    assert "open" in notes
+
+
+def test_one_change_at_a_time(session: Session) -> None:
+    entered, go_on = threading.Event(), threading.Event()
+
+    def dawdle(_text: str) -> None:
+        entered.set()
+        go_on.wait(20.0)
+
+    slow = threading.Thread(target=session.change, kwargs={"mesh": "torus", "progress": dawdle})
+    slow.start()
+    assert entered.wait(20.0)
+    with pytest.raises(Refused, match="another change is under way"):
+        session.change(mesh="cone")
+    # The old scene can still be driven and set while the new one is being built.
+    session.set_rule("paper")
+    go_on.set()
+    slow.join()
+    assert session.options.mesh == "torus"
+    assert session.options.rule == "paper"
+
+
+def test_the_autopilot_drives_until_a_hand_takes_over(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    session.set_autopilot(True)
+    wait_until(lambda: session.latest().autopilot and session.latest().target is not None)
+    wait_until(lambda: session.latest().step.distance < 1e-4)
+    session.set_autopilot(False)
+    wait_until(lambda: not session.latest().autopilot)
+    assert session.latest().target.isApprox(session.handle, 1e-6)
+    session.set_autopilot(True)
+    wait_until(lambda: session.latest().autopilot)
+    goal = moved(session.scene.T_base_start, dx=0.002)
+    session.drive(goal)
+    wait_until(lambda: not session.latest().autopilot)
+    wait_until(rests_at(session, goal.translation))
+
+
+def test_a_session_closes_cleanly_whatever_it_was_doing() -> None:
+    for prepare in (
+        lambda s: None,
+        lambda s: s.start(),
+        lambda s: (s.start(), s.pause()),
+        lambda s: (s.start(), s.set_autopilot(True)),
+    ):
+        session = Session(Options(mesh="cube", robot="point"))
+        prepare(session)
+        session.close()
+        session.close()
+        assert session.latest().tick >= 0
+    assert "control" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_unknown_names_list_the_valid_ones() -> None:
+    with pytest.raises(OptionError, match="unknown robot 'x': choose one of psm, point, panda, ur"):
+        Session(Options(robot="x"))
+    with pytest.raises(OptionError, match="unknown rule 'x': choose one of certified, paper, all"):
+        Session(Options(rule="x"))
+    with pytest.raises(meshes.MeshError, match="skull"):
+        Session(Options(mesh="x"))
