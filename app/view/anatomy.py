@@ -64,7 +64,7 @@ class Anatomy:
         toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
         across = np.array([-toward[1], toward[0], 0.0])
         middle = np.array([*(0.5 * (low + high)[:2]), low[2]])
-        foot = middle + 0.45 * scene.surface.size * toward
+        foot = middle + 0.33 * scene.surface.size * toward
         up = np.array([0.0, 0.0, 0.03 * length])
         along = np.linspace(-0.5, 0.5, 11)[:, None] * length * across + foot  # (11, 3)
         heights = np.where(np.arange(11) % 5 == 0, 2.0, 1.0)[:, None] * up

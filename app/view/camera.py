@@ -8,6 +8,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+import vf
 from app.scene import Scene
 from app.view.units import to_view
 
@@ -17,7 +18,7 @@ FIELD_OF_VIEW = np.deg2rad(40.0)  # vertical [rad]
 NEAREST = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
 FARTHEST = 2000.0  # 20 m
 # From the front right and above, the side of the mesh that the arms' bodies do not hide.
-DIRECTION = np.array([0.62, 0.68, 0.40]) / np.linalg.norm([0.62, 0.68, 0.40])
+DIRECTION = np.array([0.55, 0.62, 0.56]) / np.linalg.norm([0.55, 0.62, 0.56])
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,19 @@ def arm_view(scene: Scene, q: FloatArray) -> View:
     return _framing(0.5 * (low + high), 0.55 * float(np.linalg.norm(high - low)))
 
 
-def tool_view(p_tip: FloatArray, radius: float) -> View:
-    """The tip and its motion sphere of the given radius [m]."""
-    return _framing(np.array(p_tip), 2.2 * max(radius, 5e-4))
+def tool_view(step: vf.Step) -> View:
+    """The tip and its motion sphere, seen from above the surface it is at."""
+    p_tip = np.array(step.tip.translation)
+    view = _framing(p_tip, 1.8 * max(step.radius, 5e-4))
+    if len(step.planes) == 0:
+        return view
+    normal = step.planes.normals[np.argmin(step.planes.slack(p_tip))]
+    along = DIRECTION - (DIRECTION @ normal) * normal
+    if np.linalg.norm(along) < 1e-3:
+        return view
+    # Thirty-five degrees above the surface: lower, and a curved one hides the tip.
+    direction = 0.57 * normal + 0.82 * along / np.linalg.norm(along)
+    return View(p_tip + np.linalg.norm(view.eye - p_tip) * direction, p_tip)
 
 
 def compose_first_sight(server: viser.ViserServer, view: View) -> None:

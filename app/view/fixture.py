@@ -13,65 +13,34 @@ from app.view import palette
 from app.view.units import to_buffer, to_view, turn_z_to
 
 FloatArray = NDArray[np.float64]
+Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
-MOST_PLANES = 200  # drawn at once; rule "all" can make a thousand
-SLOTS = 16  # the batches grow by this many planes, so that their size seldom changes
+SLOTS = 128  # planes drawn at most; rule "all" can make a thousand
 LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
 class FixtureDrawing:
-    """Planes are drawn as their discs inside the motion sphere, coloured by the rule."""
+    """Planes are drawn as their discs inside the motion sphere, coloured by the rule.
+
+    All planes are instances of four small meshes. Their number never changes (a plane that is
+    not there has scale 0): the browser builds a batch anew when its length or opacities change.
+    """
 
     def __init__(self, api: viser.SceneApi) -> None:
-        none = np.zeros((SLOTS, 3))
-        still = np.tile([1.0, 0.0, 0.0, 0.0], (SLOTS, 1))
         self._sphere = api.add_icosphere(
             "/fixture/sphere",
             radius=1.0,
             color=palette.SPHERE,
-            subdivisions=4,
-            opacity=0.22,
+            subdivisions=10,
+            opacity=0.2,
             cast_shadow=False,
             receive_shadow=False,
         )
-        disc_vertices, disc_faces = _disc()
-        ring_vertices, ring_faces = _ring()
-        self._discs = api.add_batched_meshes_simple(
-            "/fixture/discs",
-            disc_vertices,
-            disc_faces,
-            batched_wxyzs=still,
-            batched_positions=none,
-            batched_scales=np.zeros(SLOTS, dtype=np.float32),
-            batched_colors=np.zeros((SLOTS, 3), dtype=np.uint8),
-            batched_opacities=np.ones(SLOTS, dtype=np.float32),
-            opacity=0.55,
-            side="double",
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
-        self._rings = api.add_batched_meshes_simple(
-            "/fixture/rings",
-            ring_vertices,
-            ring_faces,
-            batched_wxyzs=still,
-            batched_positions=none,
-            batched_scales=np.zeros(SLOTS, dtype=np.float32),
-            batched_colors=np.zeros((SLOTS, 3), dtype=np.uint8),
-            side="double",
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
-        self._normals = api.add_arrows(
-            "/fixture/normals",
-            points=np.zeros((1, 2, 3), dtype=np.float32),
-            colors=np.zeros((1, 3), dtype=np.uint8),
-            visible=False,
-        )
+        disc, rim = _disc(), _rim()
+        self._calm = _batch(api, "/fixture/discs", disc, opacity=0.3)
+        self._leaning = _batch(api, "/fixture/discs_leaning", disc, opacity=0.65)
+        self._rims = _batch(api, "/fixture/rims", rim)
+        self._normals = _batch(api, "/fixture/normals", _arrow())
         self._triangles = {
             rule: api.add_mesh_simple(
                 f"/fixture/triangles_{rule.name.lower()}",
@@ -103,37 +72,29 @@ class FixtureDrawing:
 
     def _draw_planes(self, step: vf.Step, p_tip: FloatArray, chosen: NDArray[np.intp]) -> None:
         planes = step.planes
-        normals = planes.normals[chosen]
-        centres, radii = discs(normals, planes.offsets[chosen], p_tip, step.radius)
-        colors = np.array(
-            [palette.LOOKS[vf.Rule(r)].color for r in planes.rules[chosen]], dtype=np.uint8
-        ).reshape(-1, 3)
-        leaning = step.multipliers[chosen] > LEANING
         any_plane = len(chosen) > 0
-        self._discs.visible = self._rings.visible = self.show_planes and any_plane
+        for batch in (self._calm, self._leaning, self._rims):
+            batch.visible = self.show_planes and any_plane
         self._normals.visible = self.show_normals and any_plane
         if not any_plane:
             return
-        if self.show_planes:
-            n = -(-len(chosen) // SLOTS) * SLOTS
-            wxyzs = _padded(turn_z_to(normals), n)
-            positions = _padded(to_view(centres), n)
-            scales = _padded(to_view(radii), n)
-            for batch in (self._discs, self._rings):
-                batch.batched_wxyzs = wxyzs
-                batch.batched_positions = positions
-                batch.batched_scales = scales
-                batch.batched_colors = _padded(colors, n).astype(np.uint8)
-            # The planes that hold the tool back stand out.
-            self._discs.batched_opacities = _padded(np.where(leaning, 1.0, 0.4), n)
-        if self.show_normals:
-            thickness = float(to_view(step.radius)) * 0.012
-            ends = np.stack([centres, centres + 0.3 * step.radius * normals], axis=1)
-            self._normals.shaft_radius = thickness
-            self._normals.head_radius = 3.0 * thickness
-            self._normals.head_length = 7.0 * thickness
-            self._normals.points = to_buffer(ends)
-            self._normals.colors = colors
+        normals = planes.normals[chosen]
+        centres, radii = discs(normals, planes.offsets[chosen], p_tip, step.radius)
+        leaning = step.multipliers[chosen] > LEANING
+        wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
+        looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
+        colors = palette.linear(_padded(np.array(looks)).astype(np.uint8))
+        scales = to_view(radii)
+        for batch, scale in (
+            (self._calm, np.where(leaning, 0.0, scales)),
+            (self._leaning, np.where(leaning, scales, 0.0)),
+            (self._rims, scales),
+            (self._normals, np.full_like(scales, to_view(step.radius))),
+        ):
+            batch.batched_wxyzs = wxyzs
+            batch.batched_positions = positions
+            batch.batched_scales = _padded(scale)
+            batch.batched_colors = colors
 
     def _draw_triangles(self, step: vf.Step, surface: vf.Surface, chosen: NDArray[np.intp]) -> None:
         planes = step.planes
@@ -154,7 +115,7 @@ def chosen_planes(step: vf.Step, p_tip: FloatArray) -> NDArray[np.intp]:
     """Which planes to draw: those that cut the sphere, the nearest ones if there are too many."""
     slack = step.planes.slack(p_tip)
     order = np.argsort(np.abs(slack), kind="stable")
-    return np.sort(order[np.abs(slack[order]) < step.radius][:MOST_PLANES])
+    return np.sort(order[np.abs(slack[order]) < step.radius][:SLOTS])
 
 
 def discs(
@@ -166,11 +127,30 @@ def discs(
     return centres, np.sqrt(np.maximum(radius**2 - height**2, 0.0))
 
 
-def _padded(rows: NDArray[Any], n: int) -> NDArray[np.float32]:
-    """Rows filled up with zeros to n of them; zero scale hides the instances they stand for."""
-    out = np.zeros((n, *rows.shape[1:]), dtype=np.float32)
+def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:
+    """Rows filled up with zeros to `SLOTS` of them."""
+    out = np.zeros((SLOTS, *rows.shape[1:]), dtype=np.float32)
     out[: len(rows)] = rows
     return out
+
+
+def _batch(
+    api: viser.SceneApi, name: str, shape: Triangles, opacity: float | None = None
+) -> viser.BatchedMeshHandle:
+    return api.add_batched_meshes_simple(
+        name,
+        *shape,
+        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (SLOTS, 1)),
+        batched_positions=np.zeros((SLOTS, 3)),
+        batched_scales=np.zeros(SLOTS, dtype=np.float32),
+        batched_colors=np.zeros((SLOTS, 3), dtype=np.uint8),
+        opacity=opacity,
+        side="double",
+        lod="off",
+        cast_shadow=False,
+        receive_shadow=False,
+        visible=False,
+    )
 
 
 def _circle(segments: int) -> FloatArray:
@@ -178,7 +158,7 @@ def _circle(segments: int) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle), np.zeros(segments)], axis=1)
 
 
-def _disc(segments: int = 48) -> tuple[FloatArray, NDArray[np.uint32]]:
+def _disc(segments: int = 40) -> Triangles:
     """A unit disc in the plane z = 0."""
     vertices = np.vstack([np.zeros((1, 3)), _circle(segments)])
     k = np.arange(segments)
@@ -186,7 +166,7 @@ def _disc(segments: int = 48) -> tuple[FloatArray, NDArray[np.uint32]]:
     return vertices, faces.astype(np.uint32)
 
 
-def _ring(segments: int = 48, inner: float = 0.975) -> tuple[FloatArray, NDArray[np.uint32]]:
+def _rim(segments: int = 40, inner: float = 0.975) -> Triangles:
     """The rim of the unit disc."""
     vertices = np.vstack([_circle(segments), inner * _circle(segments)])
     k = np.arange(segments)
@@ -194,3 +174,25 @@ def _ring(segments: int = 48, inner: float = 0.975) -> tuple[FloatArray, NDArray
     out = np.stack([k, following, k + segments], axis=1)
     back = np.stack([following, following + segments, k + segments], axis=1)
     return vertices, np.vstack([out, back]).astype(np.uint32)
+
+
+def _arrow(length: float = 0.3, segments: int = 12) -> Triangles:
+    """An arrow along +z from the origin, for a motion sphere of radius 1."""
+    around = _circle(segments)
+    up = np.array([0.0, 0.0, 1.0])
+    shaft, head, waist = 0.01, 0.035, 0.7 * length
+    vertices = np.vstack(
+        [shaft * around, shaft * around + waist * up, head * around + waist * up, [length * up]]
+    )
+    k = np.arange(segments)
+    following = (k + 1) % segments
+    sides = [
+        np.stack([k, following, k + segments], axis=1),
+        np.stack([following, following + segments, k + segments], axis=1),
+        np.stack([k + segments, following + segments, k + 2 * segments], axis=1),
+        np.stack([following + segments, following + 2 * segments, k + 2 * segments], axis=1),
+        np.stack(
+            [k + 2 * segments, following + 2 * segments, np.full_like(k, 3 * segments)], axis=1
+        ),
+    ]
+    return vertices, np.vstack(sides).astype(np.uint32)

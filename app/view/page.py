@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
+import rich
 import viser
 from numpy.typing import NDArray
 
@@ -46,7 +47,12 @@ class Page:
         """
         self._session = session
         self._host = host
-        self._server = viser.ViserServer(host=host, port=port, label="vf-sandbox", verbose=False)
+        console = rich.get_console()
+        quiet, console.quiet = console.quiet, True  # viser prints a box of addresses even so
+        try:
+            self._server = viser.ViserServer(host, port, label="vf-sandbox", verbose=False)
+        finally:
+            console.quiet = quiet
         server, api = self._server, self._server.scene
         server.gui.configure_theme(
             control_width="medium",
@@ -65,6 +71,7 @@ class Page:
         self._panel = Panel(server, session, self._hand, self._tell, self._look, self._layers())
         self._readouts = Readouts(server)
         server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(345)
         self._readouts.panel.dock_left()
         self._readouts.panel.set_width(262)
 
@@ -185,16 +192,13 @@ class Page:
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         """Move one client's camera to a preset."""
-        scene, telemetry = self._session.scene, self._session.latest()
-        step = telemetry.step
-        tip = scene.T_base_start if step is None else step.tip
+        scene, step = self._session.scene, self._session.latest().step
         if name == "Whole arm":
             camera.move(client, camera.arm_view(scene, scene.start))
-        elif name == "Anatomy":
+        elif name == "Tool" and step is not None:
+            camera.move(client, camera.tool_view(step))
+        else:
             camera.move(client, camera.anatomy_view(scene))
-        elif name == "Tool":
-            radius = 5e-3 if step is None else step.radius
-            camera.move(client, camera.tool_view(tip.translation, radius))
 
     def _tell(self, client: viser.ClientHandle | None, text: str) -> None:
         """A notification on one client's page."""
@@ -239,6 +243,8 @@ def _light(api: viser.SceneApi) -> None:
     """Even light with one main direction, so that shapes read without hard shadows."""
     # viser's own lights wash out light colours such as bone.
     api.configure_default_lights(False, cast_shadow=False)
-    api.configure_environment_map("studio", environment_intensity=0.25)
-    api.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130))
-    api.add_light_directional("/light/sun", intensity=1.6, position=(60.0, 25.0, 80.0))
+    api.configure_environment_map("studio", environment_intensity=0.2)
+    api.add_light_hemisphere(
+        "/light/sky", sky_color=(255, 255, 255), ground_color=(130, 120, 110), intensity=0.9
+    )
+    api.add_light_directional("/light/sun", intensity=1.1, position=(60.0, 25.0, 80.0))

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 import vf
 
 Rgb = tuple[int, int, int]
@@ -21,7 +24,7 @@ VERMILION: Rgb = (213, 94, 0)
 PURPLE: Rgb = (204, 121, 167)
 BLACK: Rgb = (20, 20, 20)
 
-BONE: Rgb = (232, 222, 202)
+BONE: Rgb = (222, 206, 178)
 SPHERE = SKY
 TOOL = BLACK
 PROXY: Rgb = (110, 70, 150)
@@ -62,6 +65,11 @@ STATUS_HELP: dict[vf.Status, str] = {
     vf.Status.INSIDE: "tool inside the anatomy",
     vf.Status.REFUSED: "proxy refused",
 }
+
+
+def linear(colors: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """Colours (…, 3) of sRGB as intensities, which is what viser takes for instances of a batch."""
+    return np.asarray(255.0 * (colors / 255.0) ** 2.2).round().astype(np.uint8)
 
 
 def css(color: Rgb) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -61,6 +62,7 @@ class Panel:
         self._look = look
         self._building = threading.Lock()
         self._note: str | None = None
+        self._autopilot_asked = 0.0  # monotonic time [s]
         self.clutched = False
         self._gui.add_html(_TITLE)
         self._banner = self._gui.add_html("")
@@ -88,7 +90,8 @@ class Panel:
         _show(self._standoff, options.standoff * 1e6)
         _show(self._scale, options.scale)
         _show(self._gain, options.force_gain)
-        _show(self._autopilot, telemetry.autopilot)
+        if time.monotonic() > self._autopilot_asked + 0.5:  # else the loop may not have seen it
+            _show(self._autopilot, telemetry.autopilot)
         _show(self._clutch, self.clutched)
         if self._building.locked():
             return
@@ -268,6 +271,7 @@ class Panel:
         self._session.clutch(self.clutched)
 
     def _take_autopilot(self, value: object) -> None:
+        self._autopilot_asked = time.monotonic()
         if self._session.set_autopilot(bool(value)):
             self.clutched = False  # so does the session
 

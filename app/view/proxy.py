@@ -26,7 +26,7 @@ class Proxy:
             fixed=True,  # sized in pixels: as easy to grab far away as close up
             line_width=3.5,
             depth_test=False,
-            opacity=0.9,
+            opacity=0.8,
             wxyz=wxyz,
             position=position,
         )

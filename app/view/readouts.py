@@ -112,7 +112,7 @@ def _state(telemetry: Telemetry, joints: tuple[str, ...], clutched: bool) -> tup
     orange, red = palette.css(palette.ORANGE), palette.css(palette.VERMILION)
     calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
     if telemetry.paused:
-        return "Paused: the loop is stopped. Run, or step tick by tick.", orange
+        return "Paused. Run, or step tick by tick.", orange
     if telemetry.stale:
         return "Stale: contact to the dragging hand is lost, the tool holds.", red
     if step is not None and step.status == vf.Status.INSIDE:

@@ -21,7 +21,7 @@ class Tool:
             "/tool/dot",
             points=np.zeros((1, 3), dtype=np.float32),
             colors=np.array([palette.TOOL], dtype=np.uint8),
-            point_size=0.03,
+            point_size=0.02,
             point_shape="circle",
         )
         self._ball = api.add_icosphere(
