@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -238,7 +239,7 @@ class Session:
         if not self._changing.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
         try:
-            wanted = {
+            wanted: dict[str, Any] = {
                 name: value
                 for name, value in (("mesh", mesh), ("robot", robot))
                 if value is not None
@@ -262,12 +263,12 @@ class Session:
 
     # Inner workings; callers hold the lock
 
-    def _order(self, **changes: object) -> None:
+    def _order(self, **changes: Any) -> None:
         with self._lock:
             self._orders = replace(self._orders, **changes)
             self._inbox.put(self._orders)
 
-    def _command(self, target: pin.SE3 | None, held: bool = False, **changes: object) -> None:
+    def _command(self, target: pin.SE3 | None, held: bool = False, **changes: Any) -> None:
         """A new command, together with other changes that must be seen at the same tick."""
         command = Command(
             target=target,
@@ -278,7 +279,7 @@ class Session:
         )
         self._order(command=command, **changes)
 
-    def _set(self, **changes: object) -> Options:
+    def _set(self, **changes: Any) -> Options:
         """New settings through a new plant; the numbers were clamped before."""
         with self._lock:
             options = replace(self.options, **changes)
