@@ -167,7 +167,9 @@ class Surface:
         """Whether the surface encloses volume: only then does it have an inside.
 
         Corners at equal coordinates count as one and repeated faces as one; the surface is closed
-        when every edge then has an even number of faces. Winding does not matter.
+        when every edge is then walked as often one way as the other. A closed surface turned
+        inside out is closed; one with single faces flipped is not, because next to those the
+        winding number says inside where there is none.
         """
         return self._solid[0]
 
@@ -279,15 +281,20 @@ def _closedness(vertices: FloatArray, faces: IntArray) -> tuple[NDArray[np.bool_
     # Adding zero turns −0.0 into 0.0, which is the same place.
     rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()
     _, place = np.unique(rows, return_inverse=True)
-    corners = np.sort(place.reshape(-1)[faces], axis=1)
-    proper = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
-    rank = np.lexsort(corners.T)
-    ranked = corners[rank]
+    corners = place.reshape(-1)[faces]
+    ordered = np.sort(corners, axis=1)
+    proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
+    rank = np.lexsort(ordered.T)
+    ranked = ordered[rank]
     repeated = np.zeros(len(faces), dtype=bool)
     repeated[rank[1:]] = (ranked[1:] == ranked[:-1]).all(axis=1)
     first = proper & ~repeated
     if not first.any():
         return first, False
-    keys = np.sort(edge_keys(np.ascontiguousarray(corners[first]), len(vertices)))
+    kept = np.ascontiguousarray(corners[first])
+    keys = edge_keys(kept, len(vertices))
+    forward = np.where(kept < kept[:, [1, 2, 0]], 1, -1).ravel()
+    rank = np.argsort(keys)
+    keys, forward = keys[rank], forward[rank]
     starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    return first, bool((np.diff(np.r_[starts, len(keys)]) % 2 == 0).all())
+    return first, not np.add.reduceat(forward, starts).any()

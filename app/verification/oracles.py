@@ -1,0 +1,242 @@
+"""Judges of the certified rule that share no code with it, beyond the list of local triangles.
+
+They take that list from `Surface.within`, which the tests compare with brute force.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+import vf
+
+FloatArray = NDArray[np.float64]
+
+# Contact closer than this counts as crossing where rounding leaves the sign open [m].
+TOUCH = 1e-12
+
+
+def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
+    """Number of triangles that the closed segment from a to b (3,) touches or crosses."""
+    middle = 0.5 * (a + b)
+    reach = 0.5 * float(np.linalg.norm(b - a)) + 1e-9
+    near = surface.within(middle, reach).triangles
+    return int(_count_crossings(surface.vertices, surface.faces, near, a, b))
+
+
+def leaks(
+    surface: vf.Surface, planes: vf.Planes, x: FloatArray, radius: float, tolerance: float = 1e-11
+) -> int:
+    """Triangles with a point in the ball strictly on the allowed side of every plane.
+
+    "Strictly" and "in the ball" by more than `tolerance` [m].
+    """
+    near = surface.within(x, radius).triangles
+    return int(
+        _count_leaks(
+            surface.vertices, surface.faces, near, planes.normals, planes.offsets,
+            np.asarray(x, dtype=np.float64), radius, tolerance,
+        )
+    )  # fmt: skip
+
+
+def blocked(
+    surface: vf.Surface,
+    planes: vf.Planes,
+    x: FloatArray,
+    radius: float,
+    rng: np.random.Generator,
+    samples: int = 64,
+) -> tuple[int, int]:
+    """Of sampled points that a straight free path reaches: how many the planes forbid, how many.
+
+    The points are uniform in the ball of `radius` [m] around x (3,).
+    """
+    u = rng.normal(size=(samples, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    ys = x + u * (radius * rng.uniform(size=(samples, 1)) ** (1.0 / 3.0))
+    near = surface.within(x, radius).triangles
+    free = forbidden = 0
+    for y in ys:
+        if _count_crossings(surface.vertices, surface.faces, near, x, y):
+            continue
+        free += 1
+        forbidden += bool((planes.normals @ y < planes.offsets).any())
+    return forbidden, free
+
+
+@njit(cache=True, nogil=True)
+def _orient(p, q, r, s):  # type: ignore[no-untyped-def]
+    """Sign of the volume of p, q, r, s; 0 where rounding leaves it open (Shewchuk's filter)."""
+    ax, ay, az = p[0] - s[0], p[1] - s[1], p[2] - s[2]
+    bx, by, bz = q[0] - s[0], q[1] - s[1], q[2] - s[2]
+    cx, cy, cz = r[0] - s[0], r[1] - s[1], r[2] - s[2]
+    det = az * (bx * cy - by * cx) + bz * (cx * ay - cy * ax) + cz * (ax * by - ay * bx)
+    size = (
+        abs(az) * (abs(bx * cy) + abs(by * cx))
+        + abs(bz) * (abs(cx * ay) + abs(cy * ax))
+        + abs(cz) * (abs(ax * by) + abs(ay * bx))
+    )
+    bound = 7.8e-16 * size
+    if det > bound:
+        return 1
+    if det < -bound:
+        return -1
+    return 0
+
+
+@njit(cache=True, nogil=True)
+def _segments_distance2(p, q, r, s):  # type: ignore[no-untyped-def]
+    """Squared distance of the segments pq and rs, by trying all kinds of closest pairs."""
+    best = np.inf
+    for k in range(4):
+        if k == 0:
+            e, f, g = p, r, s
+        elif k == 1:
+            e, f, g = q, r, s
+        elif k == 2:
+            e, f, g = r, p, q
+        else:
+            e, f, g = s, p, q
+        d = g - f
+        dd = d @ d
+        t = 0.0
+        if dd > 0.0:
+            t = min(max(((e - f) @ d) / dd, 0.0), 1.0)
+        w = e - f - t * d
+        best = min(best, w @ w)
+    u, v, w0 = q - p, s - r, p - r
+    n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    nn = n @ n
+    if nn > 1e-18 * (u @ u) * (v @ v):
+        a, b, c, d, e = u @ u, u @ v, v @ v, u @ w0, v @ w0
+        den = a * c - b * b
+        if den > 0.0:
+            t1 = (b * e - c * d) / den
+            t2 = (a * e - b * d) / den
+            if 0.0 < t1 < 1.0 and 0.0 < t2 < 1.0:
+                w = w0 + t1 * u - t2 * v
+                best = min(best, w @ w)
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _in_prism(a, b, c, p):  # type: ignore[no-untyped-def]
+    """Height of p over the triangle's plane if it projects inside, else infinity."""
+    u, v, w = b - a, c - a, p - a
+    n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    nn = n @ n
+    if nn == 0.0:
+        return np.inf
+    uu, uv, vv, wu, wv = u @ u, u @ v, v @ v, w @ u, w @ v
+    den = uu * vv - uv * uv
+    if den <= 0.0:
+        return np.inf
+    s = (vv * wu - uv * wv) / den
+    t = (uu * wv - uv * wu) / den
+    if s < 0.0 or t < 0.0 or s + t > 1.0:
+        return np.inf
+    return abs(w @ n) / np.sqrt(nn)
+
+
+@njit(cache=True, nogil=True)
+def _touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
+    """Whether the segment ab meets the triangle pqr; doubtful signs are settled by distance."""
+    oa, ob = _orient(p, q, r, a), _orient(p, q, r, b)
+    if oa * ob > 0:
+        return False
+    s0, s1, s2 = _orient(a, b, p, q), _orient(a, b, q, r), _orient(a, b, r, p)
+    if oa != 0 and ob != 0 and s0 != 0 and s1 != 0 and s2 != 0:
+        return s0 == s1 and s1 == s2
+    gap = min(_in_prism(p, q, r, a), _in_prism(p, q, r, b)) ** 2
+    gap = min(gap, _segments_distance2(a, b, p, q))
+    gap = min(gap, _segments_distance2(a, b, q, r))
+    gap = min(gap, _segments_distance2(a, b, r, p))
+    return gap <= TOUCH * TOUCH
+
+
+@njit(cache=True, nogil=True)
+def _count_crossings(vertices, faces, rows, a, b):  # type: ignore[no-untyped-def]
+    count = 0
+    for i in rows:
+        f = faces[i]
+        if _touches(a, b, vertices[f[0]], vertices[f[1]], vertices[f[2]]):
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _count_leaks(vertices, faces, rows, normals, offsets, x, radius, tolerance):  # type: ignore[no-untyped-def]
+    """Clips each triangle in its own coordinates (s, t) by every half-space.
+
+    On the triangle a + s u + t v a plane's room is linear in s and t, so what is left of the unit
+    triangle is a convex polygon there; its distance to x is sought over its edges and its inside.
+    """
+    m = offsets.shape[0]
+    size = m + 8
+    poly = np.empty((size, 2))
+    other = np.empty((size, 2))
+    count = 0
+    for i in rows:
+        a = vertices[faces[i, 0]]
+        u = vertices[faces[i, 1]] - a
+        v = vertices[faces[i, 2]] - a
+        poly[0, 0], poly[0, 1] = 0.0, 0.0
+        poly[1, 0], poly[1, 1] = 1.0, 0.0
+        poly[2, 0], poly[2, 1] = 0.0, 1.0
+        k = 3
+        for j in range(m):
+            h0 = normals[j] @ a - offsets[j] - tolerance
+            hs, ht = normals[j] @ u, normals[j] @ v
+            kept = 0
+            for c in range(k):
+                d = (c + 1) % k
+                hc = h0 + hs * poly[c, 0] + ht * poly[c, 1]
+                hd = h0 + hs * poly[d, 0] + ht * poly[d, 1]
+                if hc > 0.0:
+                    other[kept] = poly[c]
+                    kept += 1
+                if (hc > 0.0) != (hd > 0.0):
+                    share = hc / (hc - hd)
+                    other[kept] = poly[c] + share * (poly[d] - poly[c])
+                    kept += 1
+            poly, other = other, poly
+            k = kept
+            if k == 0:
+                break
+        if k == 0:
+            continue
+        nearest = np.inf
+        inside = k >= 3
+        w = x - a
+        uu, uv, vv, wu, wv = u @ u, u @ v, v @ v, w @ u, w @ v
+        den = uu * vv - uv * uv
+        if den > 1e-20 * uu * vv:
+            s = (vv * wu - uv * wv) / den
+            t = (uu * wv - uv * wu) / den
+        else:
+            s = t = 0.0
+            inside = False
+        for c in range(k):
+            d = (c + 1) % k
+            p = a + poly[c, 0] * u + poly[c, 1] * v
+            q = a + poly[d, 0] * u + poly[d, 1] * v
+            e = q - p
+            ee = e @ e
+            share = 0.0
+            if ee > 0.0:
+                share = min(max(((x - p) @ e) / ee, 0.0), 1.0)
+            g = x - p - share * e
+            nearest = min(nearest, np.sqrt(g @ g))
+            turn = (poly[d, 0] - poly[c, 0]) * (t - poly[c, 1]) - (poly[d, 1] - poly[c, 1]) * (
+                s - poly[c, 0]
+            )
+            if turn < 0.0:
+                inside = False
+        if inside:
+            g = w - s * u - t * v
+            nearest = min(nearest, np.sqrt(g @ g))
+        if nearest < radius - tolerance:
+            count += 1
+    return count
