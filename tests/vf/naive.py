@@ -186,6 +186,23 @@ def winding(corners: np.ndarray, x: np.ndarray) -> float:
     return float((sign * excess).sum() / (4 * np.pi))
 
 
+def parity(corners: np.ndarray, x: np.ndarray, direction: np.ndarray) -> bool:
+    """Whether a ray from x cuts an odd number of triangles (m, 3, 3)."""
+    # In coordinates with the ray along the third axis: a point in a triangle, and its height.
+    frame = np.linalg.qr(np.column_stack([direction, np.eye(3)[:, :2]]))[0]
+    p = (corners - x) @ np.column_stack([frame[:, 1], frame[:, 2], direction])
+    flat = p[:, :, :2]
+    areas = [
+        flat[:, i, 0] * flat[:, j, 1] - flat[:, i, 1] * flat[:, j, 0]
+        for i, j in ((1, 2), (2, 0), (0, 1))
+    ]
+    total = sum(areas)
+    cut = (np.sign(areas[0]) == np.sign(areas[1])) & (np.sign(areas[1]) == np.sign(areas[2]))
+    cut &= total != 0
+    height = sum(a * p[:, k, 2] for k, a in enumerate(areas)) / np.where(total == 0, 1.0, total)
+    return bool((cut & (height > 0)).sum() % 2)
+
+
 # Leaks
 
 
