@@ -13,6 +13,7 @@ import time
 from types import FrameType, TracebackType
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 import app.commands
@@ -48,7 +49,7 @@ def serve(options: Options) -> int:
         return _complain(problem)
     console = Console(highlight=False)
     console.print(
-        f"[bold]vf-sandbox[/]: {options.mesh}, {options.robot}, rule {options.rule}, "
+        f"[bold]vf-sandbox[/]: {escape(options.mesh)}, {options.robot}, rule {options.rule}, "
         f"motion sphere {format_length(options.radius)}, {options.rate:g} Hz"
     )
     began = time.perf_counter()
@@ -63,7 +64,11 @@ def serve(options: Options) -> int:
 
                 page = Page(session, options.host, options.port)
                 try:
+                    if options.port not in (0, page.port):
+                        return _complain(f"port {options.port} was taken meanwhile")
                     step.done()
+                    for note in session.scene.notes:
+                        console.print(f"  [yellow]![/] {escape(note)}")
                     console.print(
                         f"Ready after {time.perf_counter() - began:.1f} s. "
                         f"Open [bold]{page.url}[/] (Ctrl-C ends)"
@@ -169,12 +174,12 @@ class _Steps:
     def __call__(self, text: str) -> None:
         """Begin a step; the one before it is done."""
         self._finish()
-        self._text, self._since = text, time.perf_counter()
+        self._text, self._since = escape(text), time.perf_counter()
         for task in self._progress.task_ids:
             self._progress.remove_task(task)
-        self._progress.add_task(text, total=None)
+        self._progress.add_task(self._text, total=None)
         if not self._console.is_terminal:
-            self._console.print(f"  {text} …")
+            self._console.print(f"  {self._text} …")
 
     def done(self) -> None:
         """The last step is done: stop showing progress."""

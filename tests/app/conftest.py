@@ -18,17 +18,20 @@ class Oracle:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.corners = np.asarray(vertices)[np.asarray(faces)]  # (m, 3, 3)
+        self.low, self.high = self.corners.min(axis=1), self.corners.max(axis=1)
 
     def crossings(self, path: np.ndarray) -> int:
         """How many steps of a path (k, 3) cut a triangle (Möller–Trumbore, double sided)."""
-        steps = np.flatnonzero((np.diff(path, axis=0) != 0.0).any(axis=1))
+        # Every triangle whose box meets the box of a stretch is tested against each of its steps.
+        return sum(self._crossings(path[k : k + 51]) for k in range(0, len(path) - 1, 50))
+
+    def _crossings(self, path: np.ndarray) -> int:
         low, high = path.min(axis=0) - 1e-6, path.max(axis=0) + 1e-6
-        near = (self.corners.min(axis=1) <= high).all(axis=1)
-        near &= (self.corners.max(axis=1) >= low).all(axis=1)
+        near = (self.low <= high).all(axis=1) & (self.high >= low).all(axis=1)
         a, b, c = self.corners[near].transpose(1, 0, 2)
         e1, e2 = b - a, c - a
         count = 0
-        for k in steps:
+        for k in np.flatnonzero((np.diff(path, axis=0) != 0.0).any(axis=1)):
             start, move = path[k], path[k + 1] - path[k]
             h = np.cross(move, e2)
             det = (e1 * h).sum(axis=1)

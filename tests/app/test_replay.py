@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+import meshes
+import robots
+import vf
+from app import scene as scenes
 from app import session as sessions
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
@@ -55,6 +60,51 @@ def test_the_autopilot_repeats_itself() -> None:
     first, second = (run_headless(options, [], 1500, autopilot=True) for _ in range(2))
     assert joints(first) == joints(second)
     assert np.ptp([t.q for t in first], axis=0).max() > 1e-3
+
+
+def tip_path(options: Options, run: list[Telemetry]) -> np.ndarray:
+    """Where the tip was after every tick, by an arm of our own."""
+    arm = robots.load(options.robot)
+    return np.array([arm.tip(telemetry.q).translation for telemetry in run])
+
+
+def check_tour(options: Options, oracle: type[Any]) -> None:
+    """A whole tour of the autopilot, every tick of it against the whole mesh."""
+    scene = scenes.build(options, 1)
+    ticks = int(scene.autopilot.duration / options.dt)
+    run = run_headless(options, [], ticks, autopilot=True)
+    truth = oracle(scene.surface.vertices, scene.surface.faces)
+    path = tip_path(options, run)
+    assert truth.crossings(path) == 0
+    # The oracle would have noticed: the proxy itself goes in and out.
+    proxy = np.array([telemetry.target.translation for telemetry in run])
+    assert truth.crossings(proxy) >= 4
+    # And the tool did not just stay away: at the end, with the proxy outside, it is there too, or
+    # the surface is between them (one skull has a slit, and the tool may have slipped through).
+    last = np.array([path[-1], proxy[-1]])
+    assert np.linalg.norm(last[0] - last[1]) < 1e-3 or truth.crossings(last) == 1
+    assert {telemetry.step.status for telemetry in run if telemetry.step} <= {
+        vf.Status.SOLVED,
+        vf.Status.SHORTENED,
+        vf.Status.RECOVERING,
+    }
+
+
+@pytest.mark.parametrize("mesh", ["gear", "thin-plate"])
+def test_the_tool_stays_out_for_a_whole_tour(mesh: str, oracle: type[Any]) -> None:
+    check_tour(Options(mesh=mesh), oracle)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("robot", "radius"),
+    [("psm", None), ("psm", 5e-4), ("psm", 5e-3), ("point", 5e-3), ("panda", 5e-3), ("ur5", 5e-3)],
+)
+@pytest.mark.parametrize("mesh", meshes.names())
+def test_the_tool_stays_out_of_everything_with_every_arm(
+    mesh: str, robot: str, radius: float | None, oracle: type[Any]
+) -> None:
+    check_tour(Options(mesh=mesh, robot=robot, radius=radius), oracle)
 
 
 def test_a_live_session_is_repeated_from_its_record(
