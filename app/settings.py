@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -30,6 +30,9 @@ RANGES: dict[str, tuple[float, float]] = {
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254}
 _LENGTH = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµμ]*)")
+
+
+T = TypeVar("T")
 
 
 class OptionError(ValueError):
@@ -178,7 +181,12 @@ def check_names(options: Options) -> None:
 
 
 def parse(arguments: list[str], description: str) -> Options:
-    """Options from command-line words, by tyro (which prints `--help` and usage errors).
+    """Options of a session from command-line words, see `parse_as`."""
+    return parse_as(Options, "vf-sandbox", arguments, description)
+
+
+def parse_as(kind: type[T], program: str, arguments: list[str], description: str) -> T:
+    """A settings dataclass from command-line words, by tyro (which prints `--help` and errors).
 
     Raises:
         OptionError: a value was not usable.
@@ -189,7 +197,7 @@ def parse(arguments: list[str], description: str) -> Options:
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
-            return tyro.cli(Options, prog="vf-sandbox", description=description, args=arguments)
+            return tyro.cli(kind, prog=program, description=description, args=arguments)
     except SystemExit as exit_:
         error = exit_.__context__
         while error is not None and not isinstance(error, OptionError):

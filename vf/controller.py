@@ -231,7 +231,7 @@ class Controller:
         p_new = T_new.translation
         if any(inside):
             status = Status.INSIDE
-        elif (share == 0.0 and solution.dq.any()) or solution.solver is Solver.INFEASIBLE:
+        elif share == 0.0 or solution.solver is Solver.INFEASIBLE:
             status = Status.HELD
         elif recovering:
             status = Status.RECOVERING
@@ -307,7 +307,7 @@ class Controller:
         """
         dq = solution.dq
         if not dq.any():
-            return q, T, 0.0
+            return q, T, 1.0
         T_new = self.arm.tip(q + dq)
         if self._allowed(T_new, x, planes, inside):
             return q + dq, T_new, 1.0

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
 from vf.pdtree import box_distance2, triangle_at
-from vf.planes import Planes
+from vf.planes import Planes, checked_length, checked_point
 from vf.surface import Surface
 
 BUDGET = 64
@@ -57,8 +57,14 @@ def certified_planes(
     Returns:
         Planes with n·x ≥ o. `radius` is smaller than asked for where the budget of 64 planes was
         spent; the claim then holds for that ball.
+
+    Raises:
+        ValueError: x, or a length, is not finite or not in its range.
     """
-    p = np.asarray(x, dtype=np.float64)
+    p = checked_point(x)
+    checked_length("radius", radius)
+    checked_length("standoff", standoff)
+    checked_length("tip radius", tip_radius)
     normals = np.empty((BUDGET, 3))
     offsets = np.empty(BUDGET)
     points = np.empty((BUDGET, 3))

@@ -9,7 +9,7 @@ import numpy as np
 
 from vf.conditions import every_plane, paper_planes
 from vf.cover import certified_planes
-from vf.planes import FloatArray, Planes, Rule
+from vf.planes import FloatArray, Planes, Rule, checked_length
 from vf.surface import Surface
 
 RULES = ("certified", "paper", "all", "off")
@@ -53,8 +53,8 @@ class MeshFixture:
     ) -> None:
         if rule not in RULES:
             raise ValueError(f"unknown rule {rule!r}: choose one of {', '.join(RULES)}")
-        if radius is not None and not (np.isfinite(radius) and radius > 0.0):
-            raise ValueError(f"the radius must be a positive length in metres, got {radius!r}")
+        if radius is not None:
+            checked_length("radius", radius, positive=True)
         self.surface = surface
         self.rule = rule
         self.radius = radius

@@ -4,12 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from math import isfinite
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+def checked_point(x: ArrayLike) -> FloatArray:
+    """x as (3,) float64; ValueError unless it is three finite numbers."""
+    p = np.asarray(x, dtype=np.float64)
+    if p.shape != (3,) or not isfinite(p[0] + p[1] + p[2]):
+        raise ValueError(f"a point must be three finite numbers, got {x!r}")
+    return p
+
+
+def checked_length(name: str, value: float, positive: bool = False) -> float:
+    """A length [m]; ValueError unless it is finite and ≥ 0 (or > 0)."""
+    if not (isfinite(value) and (value > 0.0 or (value == 0.0 and not positive))):
+        kind = "positive" if positive else "zero or more"
+        raise ValueError(f"the {name} must be finite and {kind} in metres, got {value!r}")
+    return value
 
 
 class Rule(IntEnum):

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vf import pdtree
-from vf.planes import FloatArray, IntArray
+from vf.planes import FloatArray, IntArray, checked_length, checked_point
 from vf.winding import Moments, moments, winding_number
 
 
@@ -132,7 +132,8 @@ class Surface:
 
     def within(self, x: ArrayLike, radius: float) -> Contacts:
         """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
-        p = _point(x)
+        p = checked_point(x)
+        checked_length("radius", radius)
         room = 256
         while True:
             triangles = np.empty(room, dtype=np.int64)
@@ -151,7 +152,7 @@ class Surface:
 
         Beyond `limit` [m] the answer is (inf, −1, x).
         """
-        p = _point(x)
+        p = checked_point(x)
         d2, row, px, py, pz = pdtree.nearest(self.tree, p[0], p[1], p[2], limit)
         if row < 0:
             return np.inf, -1, p
@@ -175,7 +176,7 @@ class Surface:
 
     def winding(self, x: ArrayLike) -> float:
         """Generalised winding number of the surface around x (3,), repeated faces counted once."""
-        p = _point(x)
+        p = checked_point(x)
         return float(winding_number(self.tree, self._solid[1], p[0], p[1], p[2]))
 
     def inside(self, x: ArrayLike) -> bool:
@@ -185,13 +186,6 @@ class Surface:
         answer is False and the fixtures guard it from both sides.
         """
         return self.closed and abs(self.winding(x)) > 0.5
-
-
-def _point(x: ArrayLike) -> FloatArray:
-    p = np.asarray(x, dtype=np.float64)
-    if p.shape != (3,) or not np.isfinite(p).all():
-        raise ValueError(f"a point must be three finite numbers, got {x!r}")
-    return p
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""The safety property under attack: does the tip ever cross a triangle, does the cover ever leak?"""
+"""The safety property under attack: does the tip ever cross, does the cover ever leak?"""
 
 from __future__ import annotations
 
@@ -71,6 +71,7 @@ def drive(
     seed: int,
     noise: float = 0.0,
     tip_radius: float = 0.0,
+    outside_of: vf.Surface | None = None,
     progress: Progress = lambda _ticks: None,
 ) -> Drive:
     """Let adversarial hands push the arm against a mesh for `steps` ticks.
@@ -83,8 +84,8 @@ def drive(
         noise: bound on the actuation error at the tip added after every tick, as a share of the
             motion sphere's radius. The standoff is set to four times it (at least the default):
             an error larger than the standoff cannot be promised away by any planes.
+        outside_of: start only outside this closed surface (the mesh before it was damaged).
     """
-    vertices, faces = mesh
     rng = np.random.default_rng(seed)
     result = Drive()
     bound = noise * (radius if radius is not None else 5e-4)
@@ -92,7 +93,7 @@ def drive(
     while result.ticks < steps:
         q = _some_pose(arm, rng)
         tip = arm.tip(q)
-        surface = _surface_near(vertices, faces, tip.translation, tip_radius, rng)
+        surface = _surface_near(mesh, tip.translation, tip_radius, outside_of, rng)
         controller = vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)], settings)
         tools = [tip]
         hand = hands.goals(rng, surface, tip, tools)
@@ -143,10 +144,14 @@ def _some_pose(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
 
 
 def _surface_near(
-    vertices: FloatArray, faces: NDArray[np.int64], p: FloatArray, tip_radius: float,
+    mesh: Arrays,
+    p: FloatArray,
+    tip_radius: float,
+    outside_of: vf.Surface | None,
     rng: np.random.Generator,
-) -> vf.Surface:  # fmt: skip
+) -> vf.Surface:
     """The mesh, moved so that a random spot of its outside is within millimetres of p (3,)."""
+    vertices, faces = mesh
     while True:
         corners = vertices[faces[rng.integers(len(faces))]]
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
@@ -156,7 +161,10 @@ def _surface_near(
         spot = rng.dirichlet([1.0, 1.0, 1.0]) @ corners
         side = 1.0 if rng.random() < 0.7 else -1.0  # open meshes are met from behind as well
         gap = tip_radius + rng.uniform(5e-5, 3e-3)
-        surface = vf.Surface.from_arrays(vertices + (p - spot - side * gap * normal / size), faces)
+        start = spot + side * gap * normal / size
+        if outside_of is not None and outside_of.inside(start):
+            continue
+        surface = vf.Surface.from_arrays(vertices + (p - start), faces)
         if not surface.inside(p) and surface.nearest(p)[0] > tip_radius + 4e-5:
             return surface
 
@@ -182,25 +190,28 @@ def query(
     queries: int,
     seed: int,
     standoff: float = 0.0,
+    outside_of: vf.Surface | None = None,
     progress: Progress = lambda _queries: None,
 ) -> Cover:
     """Look for leaks of a rule around a mesh at points all over it, from both sides.
 
+    Points inside are left out where the mesh is closed and has an inside.
+
     Args:
         edges: radius of the ball in median edge lengths.
         standoff: of the certified rule [m]; the other rules have none here.
+        outside_of: ask only outside this closed surface (the mesh before it was damaged).
     """
     surface = vf.Surface.from_arrays(*mesh)
     rng = np.random.default_rng(seed)
     radius = edges * surface.median_edge
     result = Cover()
-    clean = surface.closed
     while result.queries < queries:
         corners = surface.vertices[surface.faces[rng.integers(len(surface.faces))]]
         heading = rng.normal(size=3)
         heading /= np.linalg.norm(heading)
         x = rng.dirichlet([1.0, 1.0, 1.0]) @ corners + heading * radius * rng.uniform(0.001, 1.0)
-        if clean and surface.inside(x):
+        if surface.inside(x) or (outside_of is not None and outside_of.inside(x)):
             continue
         planes = planes_of(rule, surface, x, radius, standoff)
         result.queries += 1
