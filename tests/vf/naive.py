@@ -17,6 +17,7 @@ import vf
 
 # Property tests repeat exactly: no random seed, no clock.
 PROPERTY = settings(derandomize=True, deadline=None, database=None, print_blob=True)
+MANY = settings(PROPERTY, max_examples=5000)
 
 HUGE = "skull-fine"  # a million triangles: only in the slow runs
 NAMES = tuple(name for name in meshes.names() if name != HUGE)
@@ -72,9 +73,7 @@ def exact_closest(triangle: np.ndarray, x: np.ndarray) -> tuple[list[Fraction], 
     if det > 0:
         beta, gamma = (vv * ru - uv * rv) / det, (uu * rv - uv * ru) / det
         if beta >= 0 and gamma >= 0 and beta + gamma <= 1:
-            candidates.append(
-                [i + beta * m + gamma * n for i, m, n in zip(a, u, v, strict=True)]
-            )
+            candidates.append([i + beta * m + gamma * n for i, m, n in zip(a, u, v, strict=True)])
     squares = [_dot(*[[i - j for i, j in zip(q, p, strict=True)]] * 2) for q in candidates]
     best = min(range(len(candidates)), key=squares.__getitem__)
     return candidates[best], squares[best]

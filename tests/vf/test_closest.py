@@ -35,9 +35,9 @@ def _check(triangle: np.ndarray, x: np.ndarray, tolerance: float) -> None:
     assert distance == pytest.approx(sqrt(square), abs=tolerance), case
     assert np.abs(point - np.array([float(v) for v in expected])).max() <= tolerance, case
     k = int(feature)
-    if vf.Feature.VERTEX_0 <= feature:
+    if feature >= vf.Feature.VERTEX_0:
         assert (point == triangle[k - 4]).all(), case
-    elif vf.Feature.EDGE_0 <= feature:
+    elif feature >= vf.Feature.EDGE_0:
         a, b = triangle[k - 1], triangle[k % 3]
         assert np.linalg.norm(np.cross(b - a, point - a)) <= 10 * tolerance * max(
             1.0, np.linalg.norm(b - a)

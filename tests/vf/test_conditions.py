@@ -102,9 +102,7 @@ def _moved(
 @pytest.mark.parametrize("case", list(CASES))
 @pytest.mark.parametrize("mirror", [False, True], ids=["as is", "mirrored"])
 def test_moved_copies_have_the_same_planes(case, mirror):
-    original = vf.paper_planes(
-        vf.Surface.from_arrays(*hinge(CASES[case][0])), CASES[case][1], 2.0
-    )
+    original = vf.paper_planes(vf.Surface.from_arrays(*hinge(CASES[case][0])), CASES[case][1], 2.0)
     rng = np.random.default_rng(31)
     for scale in (1e-3, 1e-2, 1.0, 1e3):
         for _ in range(5):

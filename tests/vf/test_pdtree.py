@@ -21,7 +21,9 @@ def _soups() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     tiny = rng.normal(size=(500, 1, 3)) + 1e-4 * rng.normal(size=(500, 3, 3))
     line = np.cumsum(rng.random((300, 3, 1)), axis=1) * np.array([1.0, 2.0, -1.0])
     steps = 2.0 ** -np.arange(900.0)
-    exponential = steps[:, None, None] * (np.array([1.0, 0, 0]) + 0.1 * rng.normal(size=(900, 3, 3)))
+    exponential = steps[:, None, None] * (
+        np.array([1.0, 0, 0]) + 0.1 * rng.normal(size=(900, 3, 3))
+    )
     grid = np.stack(np.meshgrid(*[np.arange(12.0)] * 2, [0.0]), -1).reshape(-1, 1, 3)
     return {
         "one": loose(one),

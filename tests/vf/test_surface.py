@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import meshes
 import naive
 import numpy as np
 import pytest
 import trimesh
 
+import meshes
 import vf
 
 BOUNDARY, FLAT, NON_MANIFOLD = vf.Edge.BOUNDARY, vf.Edge.FLAT, vf.Edge.NON_MANIFOLD
@@ -30,9 +30,7 @@ def hinge(angle: float) -> vf.Surface:
 # Queries
 
 
-@pytest.mark.parametrize(
-    "name", [*naive.NAMES, pytest.param(naive.HUGE, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", [*naive.NAMES, pytest.param(naive.HUGE, marks=pytest.mark.slow)])
 def test_queries_equal_brute_force_on_the_catalogue(name):
     surface = naive.catalogue(name)
     brute = naive.Brute(surface)
@@ -297,9 +295,7 @@ def test_inside_of_damaged_but_closed_cubes():
         assert surface.closed
         assert surface.inside(inside)
         assert not surface.inside(outside)
-    loose = vf.Surface.from_arrays(
-        cube.vertices[cube.faces.ravel()], np.arange(36).reshape(-1, 3)
-    )
+    loose = vf.Surface.from_arrays(cube.vertices[cube.faces.ravel()], np.arange(36).reshape(-1, 3))
     assert loose.closed
     assert loose.inside(inside)
     assert not loose.inside(outside)
@@ -328,7 +324,7 @@ def _prism(sides: int, lid: bool) -> vf.Surface:
     """A vessel's wall along z from 0 to 2, closed at the bottom if asked."""
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    vertices = np.concatenate([ring, ring + [0, 0, 2], [[0, 0, 0]]])
+    vertices = np.concatenate([ring, ring + np.array([0, 0, 2]), [[0, 0, 0]]])
     k = np.arange(sides)
     n = (k + 1) % sides
     faces = [np.stack([k, n, k + sides], 1), np.stack([n, n + sides, k + sides], 1)]
@@ -358,7 +354,9 @@ def test_a_fin_leaves_no_free_point_inside():
     """A fin opens the cube: guarding both sides everywhere is allowed, a false inside is not."""
     cube = box()
     fin = [[1.0, 0.0, -0.5], [1.0, 0.0, 0.5], [2.0, 0.0, 0.0]]
-    surface = vf.Surface.from_arrays([*cube.vertices.tolist(), *fin], [*cube.faces.tolist(), [8, 9, 10]])
+    surface = vf.Surface.from_arrays(
+        [*cube.vertices.tolist(), *fin], [*cube.faces.tolist(), [8, 9, 10]]
+    )
     for x in ([1.3, 0.01, 0.0], [1.3, -0.01, 0.0], [1.01, 0.5, 0.0]):
         assert not surface.inside(x)
 
