@@ -1,7 +1,8 @@
-"""Generalised winding number by a hierarchy of dipoles on the PD-tree.
+"""Generalised winding number by a hierarchy of moments on the PD-tree.
 
 Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and clouds"
-(SIGGRAPH 2018), first order: far groups of triangles act as one dipole.
+(SIGGRAPH 2018), to second order: far groups of triangles act as a dipole and a quadrupole. The
+second term is for anatomy's sake: the dipoles of a thin shell's two sides cancel.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from numpy.typing import NDArray
 from vf.pdtree import STACK, Tree
 from vf.planes import FloatArray
 
-# A node acts as one dipole beyond this many of its radii. The error is then some 1e-3, far from
-# the ½ that decides.
+# A node acts through its moments beyond this many of its radii; measured errors stay below 0.01.
 FAR = 3.0
 
 
 class Moments(NamedTuple):
-    """Dipole of every tree node (k, 7): area vector, area-weighted centre, radius around it [m].
+    """Moments of every tree node (k, 13), and which triangles count.
+
+    `nodes`: area vector N, area-weighted centre c, radius around it [m], and the symmetric part
+    (xx, yy, zz, xy, xz, yz) of Σ Aᵢ nᵢ (pᵢ − c)ᵀ over the node's triangles with centroids pᵢ.
 
     `weights` (m,) is 1 for the triangles that count, in tree order, and 0 for repetitions.
     """
@@ -31,9 +34,9 @@ class Moments(NamedTuple):
 
 
 def moments(tree: Tree, counts: NDArray[np.bool_]) -> Moments:
-    """Dipoles over the triangles for which `counts` (m,), in the caller's order, holds."""
+    """Moments over the triangles for which `counts` (m,), in the caller's order, holds."""
     weights = counts[tree.order].astype(np.float64)
-    nodes = np.zeros((len(tree.boxes), 7))
+    nodes = np.zeros((len(tree.boxes), 13))
     _moments(tree, weights, nodes)
     return Moments(nodes, weights)
 
@@ -74,7 +77,46 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
             else:
                 nodes[node, 3 + k] = box[k]
             spread += (nodes[node, 3 + k] - box[k]) ** 2
+        if child >= 0:
+            for side in range(2):
+                for k in range(6):
+                    nodes[node, 7 + k] += nodes[child + side, 7 + k]
+                _add_product(
+                    nodes[node],
+                    nodes[child + side, 0],
+                    nodes[child + side, 1],
+                    nodes[child + side, 2],
+                    nodes[child + side, 3] - nodes[node, 3],
+                    nodes[child + side, 4] - nodes[node, 4],
+                    nodes[child + side, 5] - nodes[node, 5],
+                )
+        else:
+            first = tree.links[node, 1]
+            for t in range(first, first + tree.links[node, 2]):
+                c = tree.corners[t]
+                ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+                vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+                _add_product(
+                    nodes[node],
+                    0.5 * weights[t] * (uy * vz - uz * vy),
+                    0.5 * weights[t] * (uz * vx - ux * vz),
+                    0.5 * weights[t] * (ux * vy - uy * vx),
+                    (c[0] + c[3] + c[6]) / 3.0 - nodes[node, 3],
+                    (c[1] + c[4] + c[7]) / 3.0 - nodes[node, 4],
+                    (c[2] + c[5] + c[8]) / 3.0 - nodes[node, 5],
+                )
         nodes[node, 6] = np.sqrt(spread) + np.sqrt(box[3] ** 2 + box[4] ** 2 + box[5] ** 2)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _add_product(node, nx, ny, nz, rx, ry, rz):  # type: ignore[no-untyped-def]
+    """Add the symmetric part of n rᵀ to a node's second moment."""
+    node[7] += nx * rx
+    node[8] += ny * ry
+    node[9] += nz * rz
+    node[10] += 0.5 * (nx * ry + ny * rx)
+    node[11] += 0.5 * (nx * rz + nz * rx)
+    node[12] += 0.5 * (ny * rz + nz * ry)
 
 
 @njit(cache=True, nogil=True)
@@ -91,7 +133,14 @@ def winding_number(tree, dipoles, x, y, z):  # type: ignore[no-untyped-def]
         dx, dy, dz = nodes[node, 3] - x, nodes[node, 4] - y, nodes[node, 5] - z
         d2 = dx * dx + dy * dy + dz * dz
         if d2 > (FAR * nodes[node, 6]) ** 2:
-            total += (dx * nodes[node, 0] + dy * nodes[node, 1] + dz * nodes[node, 2]) / (
+            c = nodes[node]
+            trace = c[7] + c[8] + c[9]
+            squeeze = (
+                dx * (dx * c[7] + 2.0 * (dy * c[10] + dz * c[11]))
+                + dy * (dy * c[8] + 2.0 * dz * c[12])
+                + dz * dz * c[9]
+            )
+            total += (dx * c[0] + dy * c[1] + dz * c[2] + trace - 3.0 * squeeze / d2) / (
                 d2 * np.sqrt(d2)
             )
             continue
