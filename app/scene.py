@@ -79,7 +79,7 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
     notes: list[str] = []
     with _caught_warnings() as caught:
         vertices, faces = meshes.arrays(options.mesh, unit=options.unit)
-    notes += [str(warning.message) for warning in caught]
+    notes += [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
     vertices = meshes.place(vertices, T_base_tip)
 
     say("preparing the kernels (the first start compiles them: about half a minute)")

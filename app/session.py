@@ -224,7 +224,9 @@ class Session:
         """Another mesh or robot: built aside while the old one runs, then swapped between ticks.
 
         The tool stays where it is if that is free space in the new scene, else it is put to the
-        new start; handle and proxy are put onto it.
+        new start; handle and proxy are put onto it. While a mesh of a million triangles is loaded
+        and thinned for the picture, libraries that keep the interpreter to themselves can hold up
+        ticks for up to a second: the tool then stands still, and overruns are counted.
 
         Args:
             mesh: catalogue name or path; None keeps the mesh (and its unit).
