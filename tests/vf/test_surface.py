@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
+import re
+
 import meshes
 import vf
 
@@ -110,9 +112,9 @@ TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     ],
 )
 def test_bad_arrays_are_refused_by_their_value(vertices, faces, words):
-    with pytest.raises(ValueError) as refusal:
+    with pytest.raises(ValueError, match=re.escape(words[0])) as refusal:
         vf.Surface.from_arrays(vertices, faces)
-    for word in words:
+    for word in words[1:]:
         assert word in str(refusal.value)
 
 
