@@ -105,6 +105,9 @@ class Hand:
                 self._tell(client, "Somebody else drags the gizmo: wait until they let go.")
             self._shown = None
             return
+        if phase == "end" and client_id not in self._server.get_clients():
+            self._abandon(client_id)  # viser ends the drags of clients that vanish
+            return
         try:
             handle = pose_from_view(wxyz, position)
             self._session.drive(handle, held=phase != "end")

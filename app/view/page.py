@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pinocchio as pin
@@ -47,12 +48,8 @@ class Page:
         """
         self._session = session
         self._host = host
-        console = rich.get_console()
-        quiet, console.quiet = console.quiet, True  # viser prints a box of addresses even so
-        try:
+        with _quiet_console():
             self._server = viser.ViserServer(host, port, label="vf-sandbox", verbose=False)
-        finally:
-            console.quiet = quiet
         server, api = self._server, self._server.scene
         server.gui.configure_theme(
             control_width="medium",
@@ -104,6 +101,11 @@ class Page:
         """The gizmo as the server has it: wxyz (4,), position (3,) in scene units."""
         return np.array(self._proxy.gizmo.wxyz), np.array(self._proxy.gizmo.position)
 
+    @property
+    def dragging(self) -> bool:
+        """Whether some client has the gizmo in its hand."""
+        return self._hand.dragging
+
     def close(self) -> None:
         """Stop the view thread and the server. Safe to call twice."""
         if self._stop.is_set():
@@ -111,7 +113,8 @@ class Page:
         self._stop.set()
         self._thread.join()
         self._hand.close()
-        self._server.stop()
+        with _quiet_console():
+            self._server.stop()
 
     def _run(self) -> None:
         due = time.monotonic()
@@ -237,6 +240,17 @@ class Page:
             "Tether": (True, self._proxy.show_tether),
             "Names and scale bar": (True, names),
         }
+
+
+@contextlib.contextmanager
+def _quiet_console() -> Iterator[None]:
+    """Keeps viser from printing a box of addresses and a farewell; the command line has its own."""
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = quiet
 
 
 def _light(api: viser.SceneApi) -> None:

@@ -1,0 +1,160 @@
+"""A client that is no browser and sends what no browser would: nothing of it may reach the tool."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+import viser
+from watching import wait_until
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from app.session import Session
+from app.settings import Options
+from app.view import Page
+from app.view.units import VIEW_SCALE
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[Session]:
+    with Session(Options(mesh="sphere", port=0)) as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def page(session: Session) -> Iterator[Page]:
+    page = Page(session, "127.0.0.1", 0)
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def attacker(page: Page) -> Iterator[ClientConnection]:
+    with connect(
+        page.url.replace("http", "ws"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+    ) as socket:
+        send(
+            socket,
+            "ViewerCameraMessage",
+            wxyz=(1, 0, 0, 0),
+            position=(1, 1, 1),
+            fov=1.0,
+            near=0.1,
+            far=10.0,
+            look_at=(0, 0, 0),
+            up_direction=(0, 0, 1),
+            image_height=100,
+            image_width=100,
+        )
+        wait_until(lambda: len(page.server.get_clients()) == 1, "the attacker to be known")
+        yield socket
+    wait_until(lambda: not page.server.get_clients(), "the attacker to be gone")
+
+
+def send(socket: ClientConnection, kind: str, **fields: object) -> None:
+    socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
+
+
+def gizmo(
+    socket: ClientConnection, phase: str, wxyz: object = None, position: object = None
+) -> None:
+    name = "/proxy/gizmo"
+    if phase == "Update":
+        send(
+            socket,
+            "TransformControlsUpdateMessage",
+            name=name,
+            owner="",
+            wxyz=wxyz,
+            position=position,
+        )
+    else:
+        send(socket, f"TransformControlsDrag{phase}Message", name=name, owner="")
+
+
+@pytest.mark.parametrize(
+    ("wxyz", "position"),
+    [
+        ((math.nan, 0, 0, 0), (0, 0, 0)),
+        ((1, 0, 0, 0), (math.inf, 0, 0)),
+        ((0, 0, 0, 0), (0, 0, 0)),
+        ((1, 0, 0, 0), (1e9, 0, 0)),
+    ],
+)
+def test_absurd_proxies_are_refused_and_the_gizmo_returns(
+    session: Session, page: Page, attacker: ClientConnection, wxyz: object, position: object
+) -> None:
+    session.reset()
+    q, p = page.gizmo_pose
+    good = p + np.array([0.1, 0.0, 0.0])
+    gizmo(attacker, "Start")
+    gizmo(attacker, "Update", q.tolist(), good.tolist())
+    wait_until(
+        lambda: np.allclose(VIEW_SCALE * session.handle.translation, good), "the good proxy"
+    )
+    handle = session.handle.copy()
+    gizmo(attacker, "Update", wxyz, position)
+    gizmo(attacker, "End")
+    wait_until(lambda: not session.latest().stale and not page.dragging, "the end of the drag")
+    wait_until(
+        lambda: np.allclose(page.gizmo_pose[0], q) and np.allclose(page.gizmo_pose[1], good),
+        "the gizmo to be put back",
+    )
+    assert session.handle.isApprox(handle)
+    assert np.isfinite(session.latest().q).all()
+
+
+def test_a_client_that_vanishes_in_mid_drag_leaves_the_tool_holding(
+    session: Session, page: Page, attacker: ClientConnection
+) -> None:
+    session.reset()
+    wxyz, position = page.gizmo_pose
+    gizmo(attacker, "Start")
+    gizmo(attacker, "Update", wxyz.tolist(), (position + np.array([0.2, 0.0, 0.0])).tolist())
+    wait_until(lambda: session.latest().target is not None, "the drag")
+    time.sleep(1.0)
+    assert not session.latest().stale, "a hand at rest is no lost hand"
+    attacker.close()
+    wait_until(lambda: session.latest().stale, "the tool to hold")
+    session.recall()
+    wait_until(lambda: not session.latest().stale, "somebody to take over")
+
+
+@pytest.mark.parametrize(
+    ("label", "sent", "expected"),
+    [
+        ("Radius [mm]", 1e6, 20.0),
+        ("Radius [mm]", -1.0, 0.05),
+        ("Tip radius [mm]", math.inf, 0.0),
+        ("Standoff [µm]", math.nan, 20.0),
+        ("Scale", 1e300, 2.0),
+        ("Rule", "none whatever", "certified"),
+        ("Mesh", "/etc/passwd", "sphere"),
+    ],
+)
+def test_panel_values_are_checked_by_the_server(
+    session: Session,
+    page: Page,
+    attacker: ClientConnection,
+    label: str,
+    sent: object,
+    expected: object,
+) -> None:
+    controls = page.server.gui._gui_input_handle_from_uuid.values()
+    control = next(c for c in controls if getattr(c, "label", None) == label)
+    send(attacker, "GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": sent})
+    wait_until(lambda: control.value == pytest.approx(expected), f"{label} = {expected}")
+    options = session.options
+    assert options.rule == "certified"
+    assert session.scene.mesh_name == "sphere"
+    assert 5e-5 <= options.radius <= 0.02
+    assert options.standoff == 20e-6
+    assert options.tip_radius == 0.0
+    assert options.scale <= 2.0
