@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import errno
 import importlib
+import importlib.util
 import pkgutil
 import signal
 import socket
@@ -34,9 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if words and not words[0].startswith("-"):
             return _command(words[0], words[1:])
-        commands = _commands()
-        about = f"{ABOUT}\n\nCommands: {', '.join(commands)}." if commands else ABOUT
-        return serve(parse(words, about))
+        return serve(parse(words, _about()))
     except OptionError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
@@ -123,6 +123,17 @@ def _command(name: str, rest: list[str]) -> int:
         choices = f"the commands are {', '.join(known)}" if known else "there are no commands yet"
         return _complain(f"unknown command '{name}': {choices}; without one the page starts")
     return int(importlib.import_module(f"app.commands.{name}").main(rest))
+
+
+def _about() -> str:
+    """The help text: what the page is, and a line for each command, read without importing it."""
+    lines = [ABOUT]
+    for name in _commands():
+        spec = importlib.util.find_spec(f"app.commands.{name}")
+        source = spec.loader.get_source(spec.name) if spec else None  # type: ignore[union-attr]
+        doc = ast.get_docstring(ast.parse(source or "")) or ""
+        lines.append(f"vf-sandbox {name}: {doc.splitlines()[0] if doc else ''}")
+    return "\n\n".join(lines)
 
 
 def _commands() -> list[str]:

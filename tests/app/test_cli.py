@@ -95,6 +95,10 @@ def test_help_shows_the_defaults() -> None:
     assert result.returncode == 0
     for word in ("--mesh", "skull", "--radius", "5mm", "--port", "8080", "127.0.0.1"):
         assert word in result.stdout
+    commands = [path.stem for path in (ROOT / "app" / "commands").glob("[a-z]*.py")]
+    assert commands
+    for command in commands:
+        assert f"vf-sandbox {command}: " in result.stdout
 
 
 def test_a_taken_port_is_told_before_anything_is_built() -> None:
