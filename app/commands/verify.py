@@ -77,12 +77,15 @@ class Verify:
     outside: bool = False
     """Start and ask only outside the undamaged mesh, which the paper's rule takes for granted."""
     tip_radius: Length = 0.0
-    """Radius of a spherical tool tip (crossings are counted for its centre)."""
+    """Radius of a spherical tool tip: it crosses a triangle where the ball cuts it."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "queries", "seed"):
             if getattr(self, name) < 0:
                 raise OptionError(f"{name} must be zero or more, got {getattr(self, name)}")
+        if self.steps == 0 and self.queries == 0:
+            # "Nothing got through" would be true, and worth nothing.
+            raise OptionError("nothing to do: steps and queries are both 0")
         if not 0.0 <= self.noise <= 0.1:
             raise OptionError(
                 f"noise must be a share of the radius from 0 to 0.1, got {self.noise}"
@@ -141,7 +144,8 @@ def run(options: Verify, console: Console) -> int:
                     arm, mesh, rule=options.rule, radius=radius, steps=share,
                     seed=options.seed + 1000 * number + k,
                     noise=options.noise if (number + k) % 2 else 0.0,
-                    tip_radius=options.tip_radius, outside_of=outside_of, progress=lambda n: bar.advance(task, n),
+                    tip_radius=options.tip_radius, outside_of=outside_of,
+                    progress=lambda n: bar.advance(task, n),
                 )
                 for k, radius in enumerate(radii)
                 if share

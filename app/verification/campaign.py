@@ -78,7 +78,8 @@ def drive(
 
     Every few hundred ticks the arm starts anew: at random joint positions all over its range, with
     the mesh moved so that a random spot of it is next to the tip. The segment between the true tip
-    positions of consecutive ticks is judged against every triangle around it.
+    positions of consecutive ticks is judged against every triangle around it; a tip with a radius
+    crosses a triangle where its ball cuts it.
 
     Args:
         noise: bound on the actuation error at the tip added after every tick, as a share of the
@@ -97,14 +98,15 @@ def drive(
         controller = vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)], settings)
         tools = [tip]
         hand = hands.goals(rng, surface, tip, tools)
-        for _ in range(min(EPISODE, steps - result.ticks)):
+        length = min(EPISODE, steps - result.ticks)
+        for _ in range(length):
             x = tools[0].translation.copy()
             step = controller.step(q, next(hand))
             q = _actuate(arm, step.q, bound, rng) if bound else step.q
             tools[0] = arm.tip(q)
-            _judge(result, surface, step, x, tools[0].translation, rng)
+            _judge(result, surface, step, x, tools[0].translation, tip_radius, rng)
             result.ticks += 1
-        progress(min(EPISODE, steps))
+        progress(length)
     return result
 
 
@@ -114,6 +116,7 @@ def _judge(
     step: vf.Step,
     x: FloatArray,
     y: FloatArray,
+    tip_radius: float,
     rng: np.random.Generator,
 ) -> None:
     result.statuses[step.status] += 1
@@ -124,7 +127,11 @@ def _judge(
     if step.status is vf.Status.INSIDE:
         result.inside += 1
         return
-    if (y != x).any() and oracles.crossings(surface, x, y):
+    if (y != x).any() and (
+        oracles.scrapes(surface, x, y, tip_radius)
+        if tip_radius
+        else oracles.crossings(surface, x, y)
+    ):
         result.crossings += 1
         if not result.first:
             result.first = f"tick {result.ticks}: {x.tolist()} → {y.tolist()}"
@@ -227,6 +234,7 @@ def query(
             result.free += free
         if result.queries % 100 == 0:
             progress(100)
+    progress(result.queries % 100)
     return result
 
 

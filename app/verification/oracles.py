@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 
 # Contact closer than this counts as crossing where rounding leaves the sign open [m].
 TOUCH = 1e-12
+# A ball may overlap a triangle by this much of rounding [m].
+SCRATCH = 1e-9
 
 
 def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
@@ -23,6 +25,18 @@ def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
     reach = 0.5 * float(np.linalg.norm(b - a)) + 1e-9
     near = surface.within(middle, reach).triangles
     return int(_count_crossings(surface.vertices, surface.faces, near, a, b))
+
+
+def scrapes(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float) -> int:
+    """Number of triangles that a ball of `tip_radius` [m] cuts on its way from a to b (3,).
+
+    "Cuts" by more than `SCRATCH`.
+    """
+    middle = 0.5 * (a + b)
+    reach = 0.5 * float(np.linalg.norm(b - a)) + tip_radius
+    near = surface.within(middle, reach).triangles
+    room = tip_radius - SCRATCH
+    return int(_count_scrapes(surface.vertices, surface.faces, near, a, b, room))
 
 
 def leaks(
@@ -49,9 +63,10 @@ def blocked(
     rng: np.random.Generator,
     samples: int = 64,
 ) -> tuple[int, int]:
-    """Of sampled points that a straight free path reaches: how many the planes forbid, how many.
+    """Of sampled points that a straight free path reaches: how many are forbidden, how many.
 
-    The points are uniform in the ball of `radius` [m] around x (3,).
+    The points are uniform in the ball of `radius` [m] around x (3,). Forbidden is what is behind a
+    plane, and what is outside the ball that the planes are valid in, if that is a smaller one.
     """
     u = rng.normal(size=(samples, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
@@ -62,7 +77,8 @@ def blocked(
         if _count_crossings(surface.vertices, surface.faces, near, x, y):
             continue
         free += 1
-        forbidden += bool((planes.normals @ y < planes.offsets).any())
+        far = bool(np.linalg.norm(y - x) > planes.radius)
+        forbidden += far or bool((planes.normals @ y < planes.offsets).any())
     return forbidden, free
 
 
@@ -141,6 +157,16 @@ def _in_prism(a, b, c, p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _distance(a, b, p, q, r):  # type: ignore[no-untyped-def]
+    """Distance of the segment ab and the triangle pqr, provided that they do not cross."""
+    gap = min(_in_prism(p, q, r, a), _in_prism(p, q, r, b)) ** 2
+    gap = min(gap, _segments_distance2(a, b, p, q))
+    gap = min(gap, _segments_distance2(a, b, q, r))
+    gap = min(gap, _segments_distance2(a, b, r, p))
+    return np.sqrt(gap)
+
+
+@njit(cache=True, nogil=True)
 def _touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
     """Whether the segment ab meets the triangle pqr; doubtful signs are settled by distance."""
     oa, ob = _orient(p, q, r, a), _orient(p, q, r, b)
@@ -149,11 +175,7 @@ def _touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
     s0, s1, s2 = _orient(a, b, p, q), _orient(a, b, q, r), _orient(a, b, r, p)
     if oa != 0 and ob != 0 and s0 != 0 and s1 != 0 and s2 != 0:
         return s0 == s1 and s1 == s2
-    gap = min(_in_prism(p, q, r, a), _in_prism(p, q, r, b)) ** 2
-    gap = min(gap, _segments_distance2(a, b, p, q))
-    gap = min(gap, _segments_distance2(a, b, q, r))
-    gap = min(gap, _segments_distance2(a, b, r, p))
-    return gap <= TOUCH * TOUCH
+    return _distance(a, b, p, q, r) <= TOUCH
 
 
 @njit(cache=True, nogil=True)
@@ -162,6 +184,17 @@ def _count_crossings(vertices, faces, rows, a, b):  # type: ignore[no-untyped-de
     for i in rows:
         f = faces[i]
         if _touches(a, b, vertices[f[0]], vertices[f[1]], vertices[f[2]]):
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _count_scrapes(vertices, faces, rows, a, b, room):  # type: ignore[no-untyped-def]
+    count = 0
+    for i in rows:
+        f = faces[i]
+        p, q, r = vertices[f[0]], vertices[f[1]], vertices[f[2]]
+        if _touches(a, b, p, q, r) or _distance(a, b, p, q, r) < room:
             count += 1
     return count
 
