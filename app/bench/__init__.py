@@ -1,0 +1,1 @@
+"""Measurements: run time over mesh sizes, other libraries beside ours, the control thread."""

@@ -1,0 +1,99 @@
+"""What a result has to say about where it was measured, and its statistics."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_PACKAGES = (
+    "numpy", "numba", "osqp", "pin", "coal", "trimesh", "scipy", "open3d", "libigl", "fcpw",
+    "qpsolvers", "daqp", "proxsuite", "viser",
+)  # fmt: skip
+
+
+def machine() -> dict[str, Any]:
+    """Processor, load, Python and the versions of what takes part."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load before": load,
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "packages": versions,
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown"
+
+
+def resident() -> float | None:
+    """Memory this process has resident [MB], where the system tells."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def percentiles(samples: ArrayLike, of: Sequence[float] = (1, 50, 99)) -> tuple[float, ...]:
+    """Percentiles of a sample; NaN where there is none."""
+    values = np.asarray(samples, dtype=np.float64)
+    if not len(values):
+        return tuple(float("nan") for _ in of)
+    return tuple(float(p) for p in np.percentile(values, of))
+
+
+@contextmanager
+def no_collection() -> Iterator[None]:
+    """Python's garbage collector off for the duration: its pauses are nobody's query time."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+def write(folder: Path, name: str, result: dict[str, Any]) -> Path:
+    """Write a result as JSON (numbers that are not finite become null); returns the file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{name}.json"
+    file.write_text(json.dumps(_plain(result), indent=1, allow_nan=False) + "\n")
+    return file
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,292 @@
+"""`bench runtime`: whole controller ticks over mesh sizes, radii and rules (paper, section IV-B).
+
+Every row drives the same proxy over the same spots in closed loop, so the tool meets what it meets
+in use: free space, the first touch, a slide over skin, a slide between walls. Timed is
+`Controller.step`: from joint positions and proxy to the verified joint step.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import meshes
+import robots
+import vf
+from app.bench import course as courses
+from app.bench.machine import machine, no_collection, percentiles
+from app.bench.settings import Runtime
+from meshes import ladder
+
+FloatArray = NDArray[np.float64]
+Say = Callable[[str], None]
+
+PUBLISHED = ((51_978, 7.73), (200_000, 1.0), (989_376, 0.18))
+"""Triangles and kHz of the paper's C++ (i7-8700; the middle one is read off its text)."""
+
+STATES = ("free", "near", "touching", "concavity")
+"""No plane; planes that do not push; planes that push; the same at a spot that is a pit."""
+
+_PUSHING = 1e-9  # a multiplier above this pushes [m]
+_SAMPLES = 300  # positions at which the stages of the paper's rule are timed one by one
+
+
+@dataclass
+class Cell:
+    """Samples of one rung, rule and radius; times in seconds, one entry per tick."""
+
+    rule: str
+    radius: float | None
+    triangles: int
+    vertices: int
+    controller: vf.Controller
+    surface: vf.Surface
+    spots: int = 0  # of the course that a pass visits; 0: not decided yet
+    total: list[float] = field(default_factory=list)
+    parts: list[tuple[float, ...]] = field(default_factory=list)
+    planes: list[int] = field(default_factory=list)
+    states: list[int] = field(default_factory=list)
+    statuses: Counter[str] = field(default_factory=Counter)
+    radii: list[float] = field(default_factory=list)
+    tips: list[FloatArray] = field(default_factory=list)
+
+
+def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[str, Any]:
+    """Measure all rows.
+
+    Args:
+        say: called with a few words before each stage.
+        advance: called with the finished share of the measurement, 0 … 1.
+
+    Returns:
+        What `runtime.json` holds.
+
+    Raises:
+        ValueError: unknown rule, or a shape no ladder can be made of.
+    """
+    for rule in options.rules:
+        if rule not in vf.RULES:
+            raise ValueError(f"unknown rule '{rule}': choose from {', '.join(vf.RULES)}")
+    about = machine()
+    shape = ladder.source(options.mesh, options.unit)
+    rungs = ladder.rungs(shape, options.sizes, say)
+    arm = robots.load("psm")
+    # All rungs stand where the master does, so that one course fits them.
+    shift = meshes.placement(rungs[max(rungs)][0], arm.tip(arm.neutral))
+    say("compiling kernels")
+    vf.Controller(arm, []).warm_up()
+
+    surfaces, builds = [], []
+    for size, (vertices, faces) in rungs.items():
+        say(f"building the surface of {size:,} triangles")
+        surface, build = _built(vertices + shift, faces)
+        surfaces.append(surface)
+        builds.append({"triangles": size, **build})
+    say("planning the course")
+    course = courses.plan(surfaces[0], arm)
+
+    cells = [
+        Cell(
+            rule,
+            radius,
+            len(surface.faces),
+            len(surface.vertices),
+            vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)]),
+            surface,
+        )
+        for radius in options.radii
+        for rule in options.rules
+        for surface in surfaces
+    ]
+    for cell in cells:
+        cell.spots = _affordable(cell, course, options)
+    done = 0
+    for number in range(options.passes):
+        say(f"pass {number + 1} of {options.passes}")
+        for spot in range(len(course.starts)):
+            # All rows at one spot, every other time backwards: a change of load meets all alike.
+            for cell in cells[:: 1 if spot % 2 == 0 else -1]:
+                if spot < cell.spots:
+                    drive(cell, course, spot)
+            done += 1
+            advance(done / (len(course.starts) * options.passes))
+    say("timing single stages")
+    rows = [summary(cell) for cell in cells]
+    return {
+        "what": "vf-sandbox bench runtime",
+        "source": shape.name,
+        "machine": about,
+        "published": {
+            "about": "the paper's C++ on an i7-8700, Stanford bunny: other hardware",
+            "points": [{"triangles": n, "rate [kHz]": rate} for n, rate in PUBLISHED],
+        },
+        "settings": {
+            "arm": "psm", "dt [s]": 1e-3, "standoff [m]": vf.Settings().standoff,
+            "spots": len(course.starts), "passes": options.passes,
+        },
+        "builds": builds,
+        "rows": rows,
+        "ratios": ratios(rows),
+    }  # fmt: skip
+
+
+def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, dict[str, Any]]:
+    """A surface, and the time of each stage of its construction."""
+    marks: list[tuple[str, float]] = []
+    started = perf_counter()
+    surface = vf.Surface.from_arrays(
+        vertices, faces, lambda stage: marks.append((stage, perf_counter()))
+    )
+    ended = perf_counter()
+    times = [mark for _, mark in marks] + [ended]
+    arrays: list[Any] = [
+        surface.vertices, surface.faces, surface.normals, surface.neighbours, surface.edges,
+        *surface.tree,
+    ]  # fmt: skip
+    sides = perf_counter()
+    closed = surface.closed
+    return surface, {
+        "total [s]": ended - started,
+        "stages [s]": {name: times[k + 1] - times[k] for k, (name, _) in enumerate(marks)},
+        "inside test [s]": perf_counter() - sides,
+        "closed": closed,
+        "arrays [MB]": sum(np.asarray(array).nbytes for array in arrays) / 1e6,
+    }
+
+
+def _affordable(cell: Cell, course: courses.Course, options: Runtime) -> int:
+    """Spots that fit in the budget, after a drive at the first two that also warms up."""
+    pilot = replace(cell, total=[], parts=[], planes=[], states=[], radii=[], tips=[])
+    pilot.statuses = Counter()
+    for spot in range(min(2, len(course.starts))):
+        drive(pilot, course, spot)
+    cost = max(float(np.mean(pilot.total)) * courses.TICKS, 1e-9)  # [s] of a spot
+    wanted = max(options.ticks // courses.TICKS, 1)
+    return min(wanted, len(course.starts), max(int(options.budget / cost), 1))
+
+
+def drive(cell: Cell, course: courses.Course, spot: int) -> None:
+    """Follow the course at one spot and add the samples to the cell."""
+    step = cell.controller.step
+    q = course.starts[spot]
+    touching = 2 + course.pits[spot]
+    targets = course.targets(spot)
+    with no_collection():
+        for target in targets:
+            began = perf_counter()
+            result = step(q, target)
+            cell.total.append(perf_counter() - began)
+            q = result.q
+            cell.parts.append(tuple(result.timings))
+            cell.planes.append(len(result.planes))
+            pushed = bool((result.multipliers > _PUSHING).any())
+            cell.states.append((touching if pushed else 1) if len(result.planes) else 0)
+            cell.statuses[str(result.status.name).lower()] += 1
+            cell.radii.append(result.radius)
+            cell.tips.append(result.tip.translation.copy())
+
+
+def summary(cell: Cell) -> dict[str, Any]:
+    """One row of the result; times in microseconds."""
+    total = np.array(cell.total) * 1e6
+    low, median, high = percentiles(total)
+    names = vf.Timings._fields
+    parts = dict(zip(names, np.median(np.array(cell.parts), axis=0) * 1e6, strict=True))
+    parts.pop("total")
+    states = np.array(cell.states)
+    by_state = {
+        name: {
+            "share": float((states == k).mean()),
+            "tick [us]": float(np.median(total[states == k])) if (states == k).any() else None,
+        }
+        for k, name in enumerate(STATES)
+    }
+    chosen = np.linspace(0, len(cell.tips) - 1, min(_SAMPLES, len(cell.tips))).astype(int)
+    stages = _stages(cell, [cell.tips[k] for k in chosen], float(np.median(cell.radii)))
+    return {
+        "rule": cell.rule,
+        "radius [m]": cell.radius,
+        "sphere [m]": float(np.median(cell.radii)),
+        "triangles": cell.triangles,
+        "vertices": cell.vertices,
+        "in the ball": stages.pop("in the ball"),
+        "planes": {
+            "mean": float(np.mean(cell.planes)),
+            "median": float(np.median(cell.planes)),
+            "max": int(np.max(cell.planes)),
+        },
+        "ticks": len(total),
+        "rate [kHz]": 1e3 / median,
+        "tick [us]": {"p1": low, "median": median, "p99": high, "mean": float(total.mean())},
+        "parts [us]": {**parts, "rest": median - sum(parts.values())},
+        "stages [us]": stages,
+        "states": by_state,
+        "statuses": dict(cell.statuses),
+    }
+
+
+def _stages(cell: Cell, tips: list[FloatArray], radius: float) -> dict[str, float]:
+    """Sphere query and inside test on their own, at positions of the course (medians).
+
+    The certified rule has no separate query: tree walk and choice of planes are one.
+    """
+    surface = cell.surface
+    query, sides, found = [], [], []
+    for x in tips:
+        a = perf_counter()
+        contacts = surface.within(x, radius)
+        b = perf_counter()
+        surface.inside(x)
+        c = perf_counter()
+        query.append(b - a)
+        sides.append(c - b)
+        found.append(len(contacts))
+    return {
+        "in the ball": float(np.median(found)),
+        "list of the ball": float(np.median(query)) * 1e6,
+        "inside test": float(np.median(sides)) * 1e6,
+    }
+
+
+def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """How a rate changes from the smallest to the largest mesh, and from the paper's rule to ours.
+
+    `without inside test` takes that test's time off the paper's tick: it is ours, not the paper's,
+    and only a rule that may let the tool through asks for it every tick.
+    """
+    result: list[dict[str, Any]] = []
+    table = {(row["rule"], row["radius [m]"], row["triangles"]): row for row in rows}
+    sizes = sorted({row["triangles"] for row in rows})
+    for rule, radius in dict.fromkeys((row["rule"], row["radius [m]"]) for row in rows):
+        small, large = table[rule, radius, sizes[0]], table[rule, radius, sizes[-1]]
+        result.append(
+            {
+                "what": f"{rule}: rate at {sizes[-1]:,} / at {sizes[0]:,}",
+                "radius [m]": radius,
+                "ratio": large["rate [kHz]"] / small["rate [kHz]"],
+            }
+        )
+    for radius in dict.fromkeys(row["radius [m]"] for row in rows):
+        ours, paper = (table.get((rule, radius, sizes[-1])) for rule in ("certified", "paper"))
+        if ours and paper:
+            bare = paper["tick [us]"]["median"] - paper["stages [us]"]["inside test"]
+            result.append(
+                {
+                    "what": f"certified / paper at {sizes[-1]:,}",
+                    "radius [m]": radius,
+                    "ratio": ours["rate [kHz]"] / paper["rate [kHz]"],
+                    "without inside test": bare / ours["tick [us]"]["median"],
+                }
+            )
+    return result
+
+
+def options_of(options: Runtime) -> dict[str, Any]:
+    """The options as plain values, to be written beside the result."""
+    return {**asdict(options), "out": str(options.out)}

@@ -1,0 +1,118 @@
+"""What the measurements can be told on the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.settings import OptionError, Radius
+
+# Repeated in `meshes.ladder`, which is slow to import for a command line that only asks for help.
+SIZES = (51_978, 103_956, 207_912, 415_824, 989_376)
+RADII: tuple[float | None, ...] = (5e-3, 2e-3, 1e-3, 5e-4, None)
+OUT = Path("artifacts/bench")
+
+
+def _positive(**values: float) -> None:
+    for name, value in values.items():
+        if not value > 0:
+            raise OptionError(f"{name} must be positive, not {value}")
+
+
+@dataclass(frozen=True)
+class Runtime:
+    """The paper's run-time experiment: whole ticks of the PSM over a ladder of mesh sizes."""
+
+    mesh: str | None = None
+    """File or catalogue name of the shape; default: an installed bunny, else a built-in shape."""
+    unit: str | None = None
+    """Unit of the mesh file. The shape is brought to the bunny's size in any case."""
+    rules: tuple[str, ...] = ("certified", "paper")
+    """Rules to measure."""
+    radii: tuple[Radius, ...] = RADII
+    """Radii of the motion sphere: 5mm is the authors' setting, auto the largest step of a tick."""
+    sizes: tuple[int, ...] = SIZES
+    """Triangles of the rungs. The largest is made first, the others are decimated from it."""
+    ticks: int = 2400
+    """Ticks of each row and pass, 200 for each spot of the course, which has twelve."""
+    passes: int = 3
+    """How often the whole ladder is gone through, so that a change of load meets every row."""
+    budget: float = 5.0
+    """Longest time for a row in a pass [s]; a slower row visits fewer spots."""
+    out: Path = OUT
+    """Folder for runtime.json and runtime.png."""
+
+    def __post_init__(self) -> None:
+        _positive(ticks=self.ticks, passes=self.passes, budget=self.budget)
+        if not (self.rules and self.radii and self.sizes):
+            raise OptionError("give at least one of each: --rules, --radii, --sizes")
+        for radius in self.radii:
+            if radius is not None:
+                _positive(radius=radius)
+        for size in self.sizes:
+            if size < 128:
+                raise OptionError(f"a rung has at least 128 triangles, not {size}")
+
+
+@dataclass(frozen=True)
+class Peers:
+    """The same queries and problems with other libraries; answers are compared before times."""
+
+    mesh: str | None = None
+    """File or catalogue name of the shape; default: an installed bunny, else a built-in shape."""
+    unit: str | None = None
+    """Unit of the mesh file. The shape is brought to the bunny's size in any case."""
+    size: int = SIZES[-1]
+    """Triangles of the mesh."""
+    radii: tuple[Radius, ...] = (5e-3, 2e-3, 1e-3, 5e-4)
+    """Radii of the sphere queries."""
+    queries: int = 400
+    """Points asked about, on and above the surface as a tool meets them."""
+    rounds: int = 5
+    """Rounds through all libraries, in alternating order; the median counts."""
+    out: Path = OUT
+    """Folder for peers.json."""
+
+    def __post_init__(self) -> None:
+        _positive(queries=self.queries, rounds=self.rounds)
+        if self.size < 128:
+            raise OptionError(f"the mesh has at least 128 triangles, not {self.size}")
+        for radius in self.radii:
+            if radius is None:
+                raise OptionError("a sphere query needs a length for its radius, not auto")
+            _positive(radius=radius)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The control thread's punctuality with the page open, a browser looking on and work going on.
+
+    Phases of equal length: idle; dragging (the autopilot); loading another mesh again and again;
+    a second client joining.
+    """
+
+    mesh: str | None = None
+    """File or catalogue name; default: the largest rung of the ladder (989,376 triangles)."""
+    unit: str | None = None
+    """Unit of the mesh file."""
+    seconds: float = 60.0
+    """Length of each phase."""
+    phases: tuple[str, ...] = ("idle", "dragging", "loading", "joining")
+    """Which phases, in this order."""
+    rate: float = 1000.0
+    """Ticks per second."""
+    rule: str = "certified"
+    """Rule of the fixture."""
+    radius: Radius = 5e-3
+    """Radius of the motion sphere."""
+    browser: bool = True
+    """Whether a headless Chromium looks on (needs Playwright and a Chromium)."""
+    out: Path = OUT
+    """Folder for loop.json."""
+
+    def __post_init__(self) -> None:
+        _positive(seconds=self.seconds, rate=self.rate)
+        known = ("idle", "dragging", "loading", "joining")
+        for phase in self.phases:
+            if phase not in known:
+                raise OptionError(f"unknown phase '{phase}': choose from {', '.join(known)}")
