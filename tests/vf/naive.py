@@ -266,14 +266,34 @@ def around(surface: vf.Surface, rng: np.random.Generator, reach: float) -> np.nd
     return rng.dirichlet((1, 1, 1)) @ corner + unit(rng) * reach * rng.random()
 
 
+class Crossings:
+    """Segments against every triangle of a mesh (m, 3, 3): exact where floats cannot tell."""
+
+    def __init__(self, corners: np.ndarray) -> None:
+        self.corners = corners
+        self.centres = corners.mean(axis=1)
+        self.radii = np.linalg.norm(corners - self.centres[:, None], axis=2).max(axis=1)
+        self.normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self.sizes = np.linalg.norm(self.normals, axis=1)
+
+    def __call__(self, a: np.ndarray, b: np.ndarray) -> bool:
+        """Whether the segment a→b meets a triangle."""
+        if (a == b).all():
+            return False
+        reach = self.radii + 0.51 * np.linalg.norm(b - a) + 1e-12
+        offset = self.centres - 0.5 * (a + b)
+        near = np.flatnonzero((offset * offset).sum(axis=1) <= reach * reach)
+        # Both ends on one side of a triangle's plane, by far more than rounding.
+        p = self.corners[near, 0]
+        sides = [((z - p) * self.normals[near]).sum(axis=1) for z in (a, b)]
+        clear = 1e-12 * self.sizes[near]
+        away = (np.minimum(*sides) > clear) | (np.maximum(*sides) < -clear)
+        return any(_crosses(self.corners[i], a, b) for i in near[~away])
+
+
 def crosses(corners: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the segment a→b meets a triangle: exact, for the triangles near it."""
-    reach = np.linalg.norm(b - a)
-    middle = 0.5 * (a + b)
-    centres = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    near = np.linalg.norm(centres - middle, axis=1) <= radii + 0.51 * reach + 1e-12
-    return any(_crosses(t, a, b) for t in corners[near])
+    """Whether the segment a→b meets one of the triangles (m, 3, 3)."""
+    return Crossings(corners)(a, b)
 
 
 def _crosses(triangle: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import naive
 import numpy as np
 import pytest
 import trimesh
-
-import re
 
 import meshes
 import vf
