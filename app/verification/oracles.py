@@ -10,21 +10,29 @@ from numba import njit
 from numpy.typing import NDArray
 
 import vf
+from app.verification import exact
 
 FloatArray = NDArray[np.float64]
 
-# Contact closer than this counts as crossing where rounding leaves the sign open [m].
-TOUCH = 1e-12
 # A ball may overlap a triangle by this much of rounding [m].
 SCRATCH = 1e-9
 
 
 def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
-    """Number of triangles that the closed segment from a to b (3,) touches or crosses."""
+    """Number of triangles that the closed segment from a to b (3,) touches or crosses: exact."""
     middle = 0.5 * (a + b)
     reach = 0.5 * float(np.linalg.norm(b - a)) + 1e-9
     near = surface.within(middle, reach).triangles
-    return int(_count_crossings(surface.vertices, surface.faces, near, a, b))
+    return _count_crossings(surface, near, a, b)
+
+
+def _count_crossings(
+    surface: vf.Surface, near: NDArray[np.int64], a: FloatArray, b: FloatArray
+) -> int:
+    doubtful = np.empty(len(near), dtype=np.int64)
+    count, doubts = _cut(surface.vertices, surface.faces, near, a, b, doubtful)
+    corners = surface.vertices[surface.faces[doubtful[:doubts]]]
+    return int(count) + sum(exact.meets(a, b, triangle) for triangle in corners)
 
 
 def scrapes(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float) -> int:
@@ -74,7 +82,7 @@ def blocked(
     near = surface.within(x, radius).triangles
     free = forbidden = 0
     for y in ys:
-        if _count_crossings(surface.vertices, surface.faces, near, x, y):
+        if _count_crossings(surface, near, x, y):
             continue
         free += 1
         far = bool(np.linalg.norm(y - x) > planes.radius)
@@ -123,34 +131,35 @@ def _segments_distance2(p, q, r, s):  # type: ignore[no-untyped-def]
         w = e - f - t * d
         best = min(best, w @ w)
     u, v, w0 = q - p, s - r, p - r
-    n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    n = _cross(u, v)
     nn = n @ n
     if nn > 1e-18 * (u @ u) * (v @ v):
-        a, b, c, d, e = u @ u, u @ v, v @ v, u @ w0, v @ w0
-        den = a * c - b * b
-        if den > 0.0:
-            t1 = (b * e - c * d) / den
-            t2 = (a * e - b * d) / den
-            if 0.0 < t1 < 1.0 and 0.0 < t2 < 1.0:
-                w = w0 + t1 * u - t2 * v
-                best = min(best, w @ w)
+        t1 = -(_cross(w0, v) @ n) / nn
+        t2 = -(_cross(w0, u) @ n) / nn
+        if 0.0 < t1 < 1.0 and 0.0 < t2 < 1.0:
+            w = w0 + t1 * u - t2 * v
+            best = min(best, w @ w)
     return best
+
+
+@njit(cache=True, nogil=True)
+def _cross(u, v):  # type: ignore[no-untyped-def]
+    return np.array(
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    )
 
 
 @njit(cache=True, nogil=True)
 def _in_prism(a, b, c, p):  # type: ignore[no-untyped-def]
     """Height of p over the triangle's plane if it projects inside, else infinity."""
     u, v, w = b - a, c - a, p - a
-    n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    n = _cross(u, v)
     nn = n @ n
     if nn == 0.0:
         return np.inf
-    uu, uv, vv, wu, wv = u @ u, u @ v, v @ v, w @ u, w @ v
-    den = uu * vv - uv * uv
-    if den <= 0.0:
-        return np.inf
-    s = (vv * wu - uv * wv) / den
-    t = (uu * wv - uv * wu) / den
+    # By cross products: the Gram determinant of a needle is lost to cancellation.
+    s = _cross(w, v) @ n / nn
+    t = _cross(u, w) @ n / nn
     if s < 0.0 or t < 0.0 or s + t > 1.0:
         return np.inf
     return abs(w @ n) / np.sqrt(nn)
@@ -168,24 +177,35 @@ def _distance(a, b, p, q, r):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
-    """Whether the segment ab meets the triangle pqr; doubtful signs are settled by distance."""
+    """Whether the segment ab meets the triangle pqr: 1 yes, 0 no, −1 if rounding leaves it open."""
+    for k in range(3):
+        if max(a[k], b[k]) < min(p[k], q[k], r[k]) or min(a[k], b[k]) > max(p[k], q[k], r[k]):
+            return 0
     oa, ob = _orient(p, q, r, a), _orient(p, q, r, b)
     if oa * ob > 0:
-        return False
+        return 0
     s0, s1, s2 = _orient(a, b, p, q), _orient(a, b, q, r), _orient(a, b, r, p)
-    if oa != 0 and ob != 0 and s0 != 0 and s1 != 0 and s2 != 0:
-        return s0 == s1 and s1 == s2
-    return _distance(a, b, p, q, r) <= TOUCH
+    if s0 * s1 < 0 or s1 * s2 < 0 or s2 * s0 < 0:
+        return 0
+    if oa == 0 or ob == 0 or s0 == 0 or s1 == 0 or s2 == 0:
+        return -1
+    return 1
 
 
 @njit(cache=True, nogil=True)
-def _count_crossings(vertices, faces, rows, a, b):  # type: ignore[no-untyped-def]
+def _cut(vertices, faces, rows, a, b, doubtful):  # type: ignore[no-untyped-def]
+    """Number of triangles that the segment ab surely meets; the doubtful ones, and their number."""
     count = 0
+    doubts = 0
     for i in rows:
         f = faces[i]
-        if _touches(a, b, vertices[f[0]], vertices[f[1]], vertices[f[2]]):
+        verdict = _touches(a, b, vertices[f[0]], vertices[f[1]], vertices[f[2]])
+        if verdict > 0:
             count += 1
-    return count
+        elif verdict < 0:
+            doubtful[doubts] = i
+            doubts += 1
+    return count, doubts
 
 
 @njit(cache=True, nogil=True)
@@ -194,7 +214,7 @@ def _count_scrapes(vertices, faces, rows, a, b, room):  # type: ignore[no-untype
     for i in rows:
         f = faces[i]
         p, q, r = vertices[f[0]], vertices[f[1]], vertices[f[2]]
-        if _touches(a, b, p, q, r) or _distance(a, b, p, q, r) < room:
+        if _touches(a, b, p, q, r) > 0 or _distance(a, b, p, q, r) < room:
             count += 1
     return count
 
