@@ -27,7 +27,9 @@ def pose(p: np.ndarray | list[float], R: np.ndarray | None = None) -> pin.SE3:
 def plate(z: float = 0.0, size: float = 0.1) -> vf.Surface:
     """A slab whose top is at z, its faces a few millimetres wide."""
     solid = trimesh.creation.box((size, size, 5e-3)).subdivide().subdivide().subdivide()
-    return vf.Surface.from_arrays(solid.vertices + np.array([0.0003, 0.0007, z - 2.5e-3]), solid.faces)
+    return vf.Surface.from_arrays(
+        solid.vertices + np.array([0.0003, 0.0007, z - 2.5e-3]), solid.faces
+    )
 
 
 def fixed(surface: vf.Surface, rule: str = "certified", radius: float | None = 5e-3) -> list:
@@ -244,7 +246,7 @@ def test_pressing_anywhere_does_not_chatter(name, arm):
     for _ in range(2):
         below = rng.choice(surface.vertices)
         goal = pose([below[0], below[1], below[2] - 4e-3], R)
-        run.to(goal, 400)
+        run.to(goal, 600)
         rest = []
         for _ in range(200):
             run.step(goal)

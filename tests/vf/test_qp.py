@@ -16,6 +16,7 @@ from vf import ConstrainedLeastSquares, Solver
 
 UM = 1e-6
 DAMPING = 1e-8
+OPTIMAL = {Solver.FREE, Solver.PROJECTED, Solver.SOLVED}
 ARMS = {3: robots.load("point"), 6: robots.load("psm"), 7: robots.load("panda")}
 
 
@@ -109,11 +110,11 @@ def test_random_problems_are_solved_to_optimality(n, m, solvers):
         if solution.solver is Solver.NOT_CONVERGED and m >= 40:
             # A crowd of random rows may outlast the iterations: said so, rarely, and bounds hold.
             spent += 1
-            assert spent <= 4
+            assert spent <= 1
             assert (solution.dq >= problem.lower).all()
             assert (solution.dq <= problem.upper).all()
             continue
-        assert solution.solver in (Solver.FREE, Solver.SOLVED), (trial, solution)
+        assert solution.solver in (Solver.FREE, Solver.PROJECTED, Solver.SOLVED), (trial, solution)
         problem.check(solution)
         reference = problem.reference()
         assert reference is not None
@@ -122,7 +123,7 @@ def test_random_problems_are_solved_to_optimality(n, m, solvers):
         assert np.abs(problem.J @ (solution.dq - reference)).max() < near, trial
         best = problem.cost(reference)
         assert problem.cost(solution.dq) <= best + 2 * UM * np.sqrt(2 * best) + UM**2, trial
-        constrained += solution.solver is Solver.SOLVED
+        constrained += solution.solver is not Solver.FREE
     if m >= 10:
         assert constrained >= 20 - spent
 
@@ -245,7 +246,7 @@ def test_badly_scaled_input_ends_in_a_status_not_in_motion(part, scale):
         assert np.isfinite(solution.dq).all()
         assert (solution.dq >= problem.lower).all()
         assert (solution.dq <= problem.upper).all()
-        if solution.solver in (Solver.FREE, Solver.SOLVED):
+        if solution.solver in (Solver.FREE, Solver.PROJECTED, Solver.SOLVED):
             # Rows in metres: each scaled back to its unit normal.
             size = grow if part == "G" else 1.0
             assert ((problem.G @ solution.dq - problem.b) / size).min() > -2 * UM
