@@ -14,7 +14,7 @@ import pinocchio as pin
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from vf.fixtures import RULES, Fixture, MeshFixture
+from vf.fixtures import ON_SURFACE, RULES, Fixture, MeshFixture
 from vf.haptics import force
 from vf.planes import FloatArray, Planes
 from vf.qp import ConstrainedLeastSquares, Solution, Solver
@@ -75,7 +75,7 @@ class Settings:
     standoff: float = 20e-6
     tip_radius: float = 0.0
     rotation_length: float = 0.05
-    damping: float = 1e-8
+    damping: float = 1e-7
     force_gain: float = 150.0
     force_cap: float = 4.0
 
@@ -336,9 +336,12 @@ class Controller:
         if not _obeys(planes.normals, planes.offsets, planes.radius, x, y):
             return False
         for fixture, within in zip(self.fixtures, inside, strict=True):
-            # Outside, or at least no deeper: the plane alone would allow a detour.
-            if within and fixture.inside(y) and fixture.depth(y) > fixture.depth(x):
-                return False
+            # Outside, or at least no deeper (the plane alone would allow a detour), and not on the
+            # surface, where no plane can tell the sides apart.
+            if within:
+                depth = fixture.depth(y)
+                if depth < ON_SURFACE or (fixture.inside(y) and depth > fixture.depth(x)):
+                    return False
         return True
 
     def _refused(self, q: FloatArray, started: float, T: pin.SE3 | None = None) -> Step:

@@ -147,6 +147,21 @@ def _box_behind(boxes, node, normals, limits, m):  # type: ignore[no-untyped-def
     return False
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _triangle_behind(corners, t, normals, limits, m):  # type: ignore[no-untyped-def]
+    """Whether a triangle is wholly behind one of the planes: most are, and need no clipping."""
+    for i in range(m):
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        limit = limits[i]
+        if (
+            nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2] < limit
+            and nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5] < limit
+            and nx * corners[t, 6] + ny * corners[t, 7] + nz * corners[t, 8] < limit
+        ):
+            return True
+    return False
+
+
 @njit(cache=True, nogil=True)
 def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-def]
     """Part of a convex polygon with n·z ≥ limit, left in `spare`; returns its corner count."""
@@ -271,8 +286,12 @@ def cover(  # type: ignore[no-untyped-def]
                 if child >= 0:
                     entry = child + c
                     e2 = box_distance2(tree.boxes, entry, x, y, z)
+                    if e2 <= reach2 and _box_behind(tree.boxes, entry, normals, limits, m):
+                        continue
                 else:
                     entry = -1 - (first + c)
+                    if _triangle_behind(tree.corners, first + c, normals, limits, m):
+                        continue
                     _px, _py, _pz, _f, e2 = triangle_at(tree.corners, first + c, x, y, z)
                 # A box's bound may round to just above its parent's triangles: never go back.
                 if e2 <= reach2:
@@ -281,6 +300,8 @@ def cover(  # type: ignore[no-untyped-def]
             continue
 
         t = -1 - item
+        if _triangle_behind(tree.corners, t, normals, limits, m):
+            continue
         corners_left, swapped = _remainder(tree.corners, t, normals, limits, m, polygon, spare)
         if corners_left == 0:
             continue
@@ -291,7 +312,20 @@ def cover(  # type: ignore[no-untyped-def]
         if m == budget:
             return m, max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
         rule, nx, ny, nz, base, px, py, pz = _separate(
-            tree, edges, t, rest, corners_left, px, py, pz, rest2, rounding, x, y, z
+            tree,
+            edges,
+            t,
+            rest,
+            corners_left,
+            px,
+            py,
+            pz,
+            rest2,
+            rounding,
+            tip_radius,
+            x,
+            y,
+            z,
         )
         room = nx * x + ny * y + nz * z
         if not room - base > 4.0 * rounding:
@@ -317,7 +351,7 @@ def cover(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _separate(  # type: ignore[no-untyped-def]
-    tree, edges, t, rest, count, px, py, pz, rest2, rounding, x, y, z
+    tree, edges, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z
 ):
     """A plane with the `rest` of triangle t behind it: rule, normal, base offset, point.
 
@@ -349,7 +383,9 @@ def _separate(  # type: ignore[no-untyped-def]
                 valley = edges[i, feature - 1] == 1
             elif feature >= 4:
                 valley = edges[i, feature - 4] == 1 or edges[i, (feature - 2) % 3] == 1
-            if valley and s > VALLEY_ROOM * d:
+            # Judged from the rim of the tip: a plane under the tip's centre by less than its radius
+            # would let the rim in.
+            if valley and s > tip_radius + VALLEY_ROOM * max(d - tip_radius, 0.0):
                 return 3, nx, ny, nz, base, qx, qy, qz
     dx, dy, dz = x - px, y - py, z - pz
     d = np.sqrt(rest2)

@@ -12,6 +12,8 @@ from vf.cover import certified_planes
 from vf.planes import FloatArray, Planes, Rule, checked_length
 from vf.surface import Surface
 
+# Nearer than this to the surface, the direction to it is rounding [m].
+ON_SURFACE = 1e-9
 RULES = ("certified", "paper", "all", "off")
 
 
@@ -74,7 +76,10 @@ class MeshFixture:
         if self.rule == "certified":
             if inside:
                 return self._way_out(x, radius, standoff + tip_radius)
-            return certified_planes(self.surface, x, radius, standoff, tip_radius)
+            planes = certified_planes(self.surface, x, radius, standoff, tip_radius)
+            if planes.radius == 0.0 and self.surface.closed:
+                return self._way_out(x, radius, standoff + tip_radius)
+            return planes
         choose = paper_planes if self.rule == "paper" else every_plane
         planes = choose(self.surface, x, radius + tip_radius)
         # Towards x by the standoff, but never past it: standing still stays allowed.
@@ -82,11 +87,16 @@ class MeshFixture:
         return replace(planes, offsets=offsets, radius=radius)
 
     def _way_out(self, x: FloatArray, radius: float, clearance: float) -> Planes:
-        """From inside: one plane at x that lets only motion towards the nearest surface pass."""
+        """From inside or from the surface itself: one plane at x, towards the way out."""
         distance, triangle, point = self.surface.nearest(x)
-        normal = self.surface.normals[triangle] if distance == 0.0 else (point - x) / distance
+        if distance > ON_SURFACE:
+            normal = (point - x) / distance
+        else:
+            normal = self.surface.normals[triangle].copy()
+            if self.surface.inside(x + clearance * normal):
+                normal = -normal
         return Planes(
-            normal[None, :].copy(),
+            normal[None, :],
             np.array([normal @ x]),
             point[None, :],
             np.array([triangle]),

@@ -85,10 +85,9 @@ class Surface:
         _normals(vertices, faces, self.normals, lengths)
         self.median_edge = float(np.median(lengths))
         say("neighbours")
-        self.neighbours, self.edges = _adjacency(vertices, faces, self.normals)
+        self.neighbours, self.edges, self._manifold = _adjacency(vertices, faces, self.normals)
         say("PD-tree")
         self.tree = pdtree.build(vertices, faces)
-        # Kernels that start from a row of the tree want the row's face and the other way round.
         for array in (
             self.vertices, self.faces, self.normals, self.neighbours, self.edges, *self.tree
         ):  # fmt: skip
@@ -160,6 +159,8 @@ class Surface:
 
     @cached_property
     def _solid(self) -> tuple[bool, Moments]:
+        if self._manifold:
+            return True, moments(self.tree, np.ones(len(self.faces), dtype=bool))
         first, closed = _closedness(self.vertices, self.faces)
         return closed, moments(self.tree, first)
 
@@ -214,19 +215,21 @@ def edge_keys(faces: IntArray, vertices: int) -> IntArray:
 
 def _adjacency(
     vertices: FloatArray, faces: IntArray, normals: FloatArray
-) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+) -> tuple[NDArray[np.int32], NDArray[np.int8], bool]:
+    """Neighbours, kinds, and whether every edge has two faces that walk it in turn."""
     keys = edge_keys(faces, len(vertices))
     rank = np.argsort(keys, kind="stable")
     neighbours = np.empty((len(faces), 3), dtype=np.int32)
     kinds = np.empty((len(faces), 3), dtype=np.int8)
-    _link(keys, rank, vertices, faces, normals, neighbours, kinds)
-    return neighbours, kinds
+    manifold = _link(keys, rank, vertices, faces, normals, neighbours, kinds)
+    return neighbours, kinds, bool(manifold)
 
 
 @njit(cache=True, nogil=True)
 def _link(keys, rank, vertices, faces, normals, neighbours, kinds):  # type: ignore[no-untyped-def]
-    """Neighbour and kind of every edge from the sorted edge table."""
+    """Neighbour and kind of every edge from the sorted edge table; whether all are in pairs."""
     count = keys.shape[0]
+    manifold = True
     i = 0
     while i < count:
         j = i + 1
@@ -241,7 +244,13 @@ def _link(keys, rank, vertices, faces, normals, neighbours, kinds):  # type: ign
                 e = rank[k]
                 neighbours[e // 3, e % 3] = -1 if j - i == 1 else -2
                 kinds[e // 3, e % 3] = 3 if j - i == 1 else 4
+        excess = 0
+        for k in range(i, j):
+            e = rank[k]
+            excess += 1 if faces[e // 3, e % 3] < faces[e // 3, (e % 3 + 1) % 3] else -1
+        manifold &= excess == 0 and j - i == 2
         i = j
+    return manifold
 
 
 @njit(cache=True, nogil=True)
