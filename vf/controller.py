@@ -192,8 +192,7 @@ class Controller:
         T, J = self.arm.kinematics(q)
         x = T.translation.copy()
         goal, R_goal = target.translation, target.rotation
-        reach = goal.dot(goal)
-        if not (reach < FARTHEST * FARTHEST and _is_rotation(R_goal)):
+        if not _usable(goal, R_goal):
             return self._refused(q, started, T)
         known = time_kinematics = perf_counter()
 
@@ -209,14 +208,11 @@ class Controller:
         bounds = np.empty(m)
         time_planes = perf_counter()
 
-        _prepare(
+        distance, deficit = _assemble(
             J, x, T.rotation, goal, R_goal, planes.radius, s.rotation_length,
             q, self.arm.lower, self.arm.upper, self._reach,
-            self._task, self._desired, self._lower, self._upper,
-        )  # fmt: skip
-        distance, deficit = _rows(
-            planes.normals, planes.offsets, planes.points, planes.rules, x, J,
-            s.standoff, s.tip_radius, rows, bounds,
+            planes.normals, planes.offsets, planes.points, planes.rules, s.standoff, s.tip_radius,
+            self._task, self._desired, self._lower, self._upper, rows, bounds,
         )  # fmt: skip
         recovering = deficit > NEGLIGIBLE * s.standoff
         solution = self._solve(rows, bounds)
@@ -241,7 +237,7 @@ class Controller:
             status = Status.SOLVED
         if self._keeps_side and status is not Status.INSIDE:
             self._known = (q_new.tobytes(), inside)
-        limits = (q_new >= self.arm.upper).astype(np.int8) - (q_new <= self.arm.lower)
+        limits = _at_limits(q_new, self.arm.lower, self.arm.upper)
         F = force(p_new, goal, s.force_gain, s.force_cap)
         for array in (
             F, limits, solution.multipliers, planes.normals, planes.offsets, planes.points
@@ -369,8 +365,11 @@ def _join(parts: Sequence[Planes], radius: float) -> Planes:
 
 
 @njit(cache=True, nogil=True)
-def _is_rotation(R):  # type: ignore[no-untyped-def]
-    """Whether R (3, 3) is finite, orthonormal to 1e-4 and right-handed."""
+def _usable(p, R):  # type: ignore[no-untyped-def]
+    """Whether p (3,) is near enough and R (3, 3) a rotation: finite, orthonormal, right-handed."""
+    for k in range(3):
+        if not abs(p[k]) < FARTHEST:
+            return False
     for i in range(3):
         for j in range(3):
             dot = R[i, 0] * R[j, 0] + R[i, 1] * R[j, 1] + R[i, 2] * R[j, 2]
@@ -507,6 +506,32 @@ def _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bou
             gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
             bounds[i] = min(bounds[i], max(share * gain, 0.0))
     return nearest, deficit
+
+
+@njit(cache=True, nogil=True)
+def _assemble(  # type: ignore[no-untyped-def]
+    J, x, R, goal, R_goal, radius, length, q, lowest, highest, reach,
+    normals, offsets, points, rules, standoff, tip_radius,
+    task, desired, lower, upper, rows, bounds,
+):  # fmt: skip
+    """The whole problem of a tick in one call from Python: `_prepare`, then `_rows`."""
+    _prepare(
+        J, x, R, goal, R_goal, radius, length, q, lowest, highest, reach,
+        task, desired, lower, upper,
+    )  # fmt: skip
+    return _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bounds)
+
+
+@njit(cache=True, nogil=True)
+def _at_limits(q, lower, upper):  # type: ignore[no-untyped-def]
+    """−1 where a joint is at its lower limit, +1 at its upper one, else 0."""
+    limits = np.zeros(q.shape[0], dtype=np.int8)
+    for j in range(q.shape[0]):
+        if q[j] >= upper[j]:
+            limits[j] = 1
+        elif q[j] <= lower[j]:
+            limits[j] = -1
+    return limits
 
 
 @njit(cache=True, nogil=True)

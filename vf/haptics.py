@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from vf.planes import FloatArray
 
 
+@njit(cache=True, nogil=True)
 def force(p_tool: FloatArray, p_proxy: FloatArray, gain: float, cap: float) -> FloatArray:
     """F = K (p_tool − p_proxy) [N], shortened to at most `cap` [N].
 
@@ -16,5 +18,5 @@ def force(p_tool: FloatArray, p_proxy: FloatArray, gain: float, cap: float) -> F
         cap: what the master can give in its weakest direction [N].
     """
     F = gain * (p_tool - p_proxy)
-    size = float(np.sqrt(F @ F))
+    size = np.sqrt(F[0] * F[0] + F[1] * F[1] + F[2] * F[2])
     return F * (cap / size) if size > cap else F
