@@ -21,7 +21,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from app.settings import Length, OptionError, Radius, format_length, parse_as
+from app.settings import RANGES, Length, OptionError, Radius, format_length, parse_as
 
 if TYPE_CHECKING:
     from app.verification.campaign import Cover, Drive
@@ -90,6 +90,12 @@ class Verify:
             raise OptionError(
                 f"noise must be a share of the radius from 0 to 0.1, got {self.noise}"
             )
+        for name, values in (("radius", self.radius), ("tip_radius", (self.tip_radius,))):
+            low, high = RANGES[name]
+            for value in values:
+                if value is not None and not low <= value <= high:
+                    text = f"{format_length(low)} to {format_length(high)}"
+                    raise OptionError(f"{name} {format_length(value)} is outside {text}")
 
 
 def main(arguments: list[str]) -> int:
@@ -167,10 +173,11 @@ def run(options: Verify, console: Console) -> int:
         title=f"rule {options.rule}, arm {options.robot}, seed {options.seed}, "
         + (f"damage {damages[0]}" if by_mesh else f"{len(sources)} meshes")
     )
-    table.add_column("mesh" if by_mesh else "damage")
+    labels = tuple(sources) if by_mesh else damages
+    table.add_column("mesh" if by_mesh else "damage", min_width=max(map(len, labels)))
     for name in COLUMNS:
         table.add_column(name, justify="right")
-    for label in sources if by_mesh else damages:
+    for label in labels:
         mine = [f for case, f in found.items() if case[0 if by_mesh else 1] == label]
         table.add_row(label, *_cells(mine))
     table.add_row("all", *_cells(list(found.values())), style="bold")
