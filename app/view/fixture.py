@@ -33,6 +33,8 @@ class FixtureDrawing:
             color=palette.SPHERE,
             subdivisions=10,
             opacity=0.2,
+            # Translucent meshes write depth: the near half would hide the discs inside.
+            side="back",
             cast_shadow=False,
             receive_shadow=False,
         )

@@ -107,32 +107,16 @@ class Panel:
 
     def _drive_controls(self) -> None:
         session = self._session
-        loop = self._gui.add_button_group(
+        self._buttons(
             "Loop",
-            ("Run", "Pause", "Step", "Reset"),
-            hint="Step pauses and does one tick. Reset puts the tool back to its start.",
+            "Step pauses and does one tick.",
+            {"Run": session.resume, "Pause": session.pause, "Step": session.single_step},
         )
-        orders = {
-            "Run": session.resume,
-            "Pause": session.pause,
-            "Step": session.single_step,
-            "Reset": self._reset,
-        }
-
-        @loop.on_click
-        async def _loop(event: viser.GuiEvent[Any]) -> None:
-            order = orders.get(str(event.target.value))
-            if order is not None:
-                self._hand.submit(order)
-
-        recall = self._gui.add_button(
-            "Recall proxy to tool", hint="Puts the gizmo back onto the tool tip."
+        self._buttons(
+            "Proxy",
+            "Recall puts the gizmo back onto the tool; reset also puts the tool to its start.",
+            {"Recall to tool": session.recall, "Reset": self._reset},
         )
-
-        @recall.on_click
-        async def _recall(_: viser.GuiEvent[Any]) -> None:
-            self._hand.submit(session.recall)
-
         self._autopilot = self._gui.add_checkbox(
             "Autopilot",
             False,
@@ -229,6 +213,15 @@ class Panel:
 
             for name, (shown, switch) in layers.items():
                 self._layer(name, shown, switch)
+
+    def _buttons(self, label: str, hint: str, orders: dict[str, Callable[[], None]]) -> None:
+        group = self._gui.add_button_group(label, tuple(orders), hint=hint)
+
+        @group.on_click
+        async def _clicked(event: viser.GuiEvent[Any]) -> None:
+            order = orders.get(str(event.target.value))
+            if order is not None:
+                self._hand.submit(order)
 
     def _layer(self, name: str, shown: bool, switch: Callable[[bool], None]) -> None:
         box = self._gui.add_checkbox(name, shown)

@@ -30,10 +30,10 @@ class Tool:
         self._arrow = api.add_arrows(
             "/tool/force",
             points=np.zeros((1, 2, 3), dtype=np.float32),
-            colors=palette.FORCE,
-            shaft_radius=0.06,
-            head_radius=0.16,
-            head_length=0.4,
+            colors=palette.linear(np.array(palette.FORCE)),
+            shaft_radius=0.03,
+            head_radius=0.09,
+            head_length=0.25,
             visible=False,
         )
         self._label = api.add_label(

@@ -62,7 +62,8 @@ def chromium() -> str:
 
 @pytest.fixture(scope="session")
 def session(chromium: str) -> Iterator[Session]:
-    with Session(Options(port=0)) as session:
+    # Half the usual rate, to leave a small machine something for the browser.
+    with Session(Options(mesh="skull-coarse", rate=500.0)) as session:
         yield session
 
 
@@ -89,7 +90,8 @@ def visit(browser: Any, page: Page) -> Callable[[], Visitor]:
 
     def open_tab() -> Visitor:
         known = set(page.server.get_clients())
-        tab = browser.new_page(viewport={"width": 1280, "height": 720})
+        # Half the resolution: a software renderer has a quarter of the pixels to fill.
+        tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.5)
         visitor = Visitor(tab, -1, page)
         tab.on(
             "console",

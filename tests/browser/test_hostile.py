@@ -96,9 +96,7 @@ def test_absurd_proxies_are_refused_and_the_gizmo_returns(
     good = p + np.array([0.1, 0.0, 0.0])
     gizmo(attacker, "Start")
     gizmo(attacker, "Update", q.tolist(), good.tolist())
-    wait_until(
-        lambda: np.allclose(VIEW_SCALE * session.handle.translation, good), "the good proxy"
-    )
+    wait_until(lambda: np.allclose(VIEW_SCALE * session.handle.translation, good), "the good proxy")
     handle = session.handle.copy()
     gizmo(attacker, "Update", wxyz, position)
     gizmo(attacker, "End")

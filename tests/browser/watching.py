@@ -18,7 +18,7 @@ ARTIFACTS = Path(__file__).parents[2] / "artifacts"
 
 
 # Software rendering; the rest keeps a sandboxed container and its network out of the way.
-def wait_until(condition: Callable[[], object], what: str, timeout: float = 20.0) -> None:
+def wait_until(condition: Callable[[], object], what: str, timeout: float = 30.0) -> None:
     """Poll until the condition holds; fails with `what` when it does not in time [s]."""
     deadline = time.monotonic() + timeout
     while not condition():
@@ -102,7 +102,7 @@ class Visitor:
 
         ARTIFACTS.mkdir(exist_ok=True)
         path = ARTIFACTS / f"{name}.png"
-        self.tab.screenshot(path=path)
+        self.tab.screenshot(path=path, scale="css")
         box = self.canvas_box()
         corners = (box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"])
         return np.asarray(Image.open(path).convert("RGB").crop(tuple(map(int, corners))))
@@ -114,8 +114,10 @@ class Visitor:
 
     def choose(self, control: str, option: str) -> None:
         """Pick an option of a dropdown in the panel."""
-        self.tab.get_by_role("combobox", name=control, exact=True).click()
+        box = self.tab.get_by_role("combobox", name=control, exact=True)
+        box.click()
         self.tab.get_by_role("option", name=option, exact=True).click()
+        wait_until(lambda: box.input_value() == option, f"{control} to read {option}")
 
     def press(self, button: str) -> None:
         """Click a button of the panel."""
@@ -124,9 +126,9 @@ class Visitor:
 
 def settle(visitor: Visitor, known: set[int]) -> None:
     """Wait for the panel, for the client's camera, and for a picture that is not blank."""
-    visitor.tab.get_by_text("Drag the gizmo (the proxy)").wait_for(timeout=30_000)
+    visitor.tab.get_by_text("Drag the gizmo (the proxy)").wait_for(timeout=90_000)
     clients = visitor.page.server.get_clients
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 90.0
     while not set(clients()) - known:
         assert time.monotonic() < deadline, "the page never said where its camera is"
         visitor.tab.wait_for_timeout(100)
