@@ -1,0 +1,229 @@
+"""`bench peers`: the same questions to `vf` and to other libraries, in one run on one machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import meshes
+import robots
+import vf
+from app.bench import course as courses
+from app.bench import queries, solvers
+from app.bench.machine import machine, no_collection, percentiles
+from app.bench.queries import Bodies, Holders, Peer
+from app.bench.reference import leak
+from app.bench.settings import Peers
+from app.settings import format_length
+from meshes import ladder
+
+FloatArray = NDArray[np.float64]
+Check = Callable[[Sequence[Any], Sequence[int]], tuple[bool, str]]
+
+CHECKED = 100  # questions of a library whose answers are compared
+PATIENCE = 1.0  # a library that needs longer for a round is asked fewer questions [s]
+LEAK = 1e-9  # of a surface sample before every plane, by rounding [m]
+
+
+def run(
+    options: Peers, say: Callable[[str], None], advance: Callable[[float], None]
+) -> dict[str, Any]:
+    """Measure all libraries; returns what `peers.json` holds. See `runtime.run` for the callbacks.
+
+    Raises:
+        ValueError: a shape no ladder can be made of.
+    """
+    about = machine()
+    shape = ladder.source(options.mesh, options.unit)
+    rungs = ladder.rungs(shape, sorted({options.size, min(options.size, 51_978)}), say)
+    arm = robots.load("psm")
+    shift = meshes.placement(rungs[max(rungs)][0], arm.tip(arm.neutral))
+    say("building our surface")
+    surface = vf.Surface.from_arrays(rungs[max(rungs)][0] + shift, rungs[max(rungs)][1])
+    smallest = vf.Surface.from_arrays(rungs[min(rungs)][0] + shift, rungs[min(rungs)][1])
+    course = courses.plan(smallest, arm)
+    say("driving the course")
+    points, problems = _met(surface, arm, course, options.queries)
+    bodies = Bodies.of(surface, points)
+    held = Holders(bodies, say)
+
+    radii = [radius for radius in options.radii if radius is not None]
+    jobs: list[tuple[str, list[Peer], Check, int]] = [
+        (
+            f"nearest triangle, {len(surface.faces):,} triangles",
+            queries.nearest(bodies, held),
+            lambda answers, chosen: queries.check_near(bodies, answers, chosen),
+            len(points),
+        )
+    ]
+    for radius in radii:
+        jobs.append(
+            (
+                f"triangles in the ball of {format_length(radius)}, {len(surface.faces):,}",
+                queries.ball(bodies, held, radius),
+                lambda answers, chosen, r=radius: queries.check_ball(bodies, answers, chosen, r),
+                len(points),
+            )
+        )
+    for radius in radii:
+        jobs.append(
+            (
+                f"planes for a motion sphere of {format_length(radius)} "
+                "(no peer has them: beside the list of its triangles)",
+                _planes(bodies, radius),
+                lambda answers, chosen, r=radius: _check_planes(bodies, answers, chosen, r),
+                len(points),
+            )
+        )
+    missing = bodies.missing
+    if problems:
+        jobs.append(
+            (
+                f"QP of a tick in contact, {np.mean([len(p.b) for p in problems]):.1f} planes "
+                "on average and 6 joints with speed and position limits",
+                solvers.peers(problems, missing),
+                lambda answers, chosen: solvers.check(problems, answers, chosen),
+                len(problems),
+            )
+        )
+    tasks = []
+    for done, (what, peers, check, count) in enumerate(jobs):
+        say(what)
+        tasks.append({"what": what, "entries": compare(peers, check, count, options.rounds)})
+        advance((done + 1) / len(jobs))
+    return {
+        "what": "vf-sandbox bench peers",
+        "source": shape.name,
+        "machine": about,
+        "options": {**asdict(options), "out": str(options.out)},
+        "tasks": tasks,
+        "missing": missing,
+    }
+
+
+def compare(peers: Sequence[Peer], check: Check, count: int, rounds: int) -> list[dict[str, Any]]:
+    """Ask every peer `count` questions in every round; entries in the peers' order, times in µs.
+
+    Answers are compared first; who is wrong is not timed. Rounds go forwards and backwards in
+    turn, and a ratio is taken within a round, so that a change of load meets all alike.
+    """
+    verdicts = []
+    asked: list[list[int]] = []
+    for peer in peers:
+        every = np.linspace(0, count - 1, min(count, CHECKED)).astype(int).tolist()
+        began = perf_counter()
+        pilot = [peer.ask(k) for k in every[:5]]
+        cost = (perf_counter() - began) / len(pilot)
+        fewer = max(int(PATIENCE / max(cost, 1e-9)), 5)
+        chosen = every[:: max(len(every) // fewer, 1)]
+        verdicts.append(check([peer.read(peer.ask(k)) for k in chosen], chosen))
+        asked.append(np.linspace(0, count - 1, min(count, fewer)).astype(int).tolist())
+    samples: list[list[list[float]]] = [[] for _ in peers]
+    order = [i for i, (agrees, _) in enumerate(verdicts) if agrees]
+    for number in range(rounds):
+        for i in order if number % 2 == 0 else order[::-1]:
+            samples[i].append(_timed(peers[i], asked[i]))
+    ours = next(i for i, peer in enumerate(peers) if peer.ours)
+    entries = []
+    for i, peer in enumerate(peers):
+        pooled = np.concatenate(samples[i]) if samples[i] else np.empty(0)
+        _, median, high = percentiles(pooled * 1e6)
+        ratio = [
+            np.median(theirs) / np.median(own)
+            for theirs, own in zip(samples[i], samples[ours], strict=False)
+        ]
+        entries.append(
+            {
+                "name": peer.name,
+                "ours": peer.ours,
+                "agrees": verdicts[i][0],
+                "check": verdicts[i][1],
+                "us": {"median": median, "p99": high},
+                "ratio": float(np.median(ratio)) if ratio else float("nan"),
+                "calls": len(pooled),
+                "note": peer.note,
+            }
+        )
+    return entries
+
+
+def _timed(peer: Peer, asked: Sequence[int]) -> list[float]:
+    ask = peer.ask
+    times = []
+    with no_collection():
+        for k in asked:
+            began = perf_counter()
+            ask(k)
+            times.append(perf_counter() - began)
+    return times
+
+
+def _met(
+    surface: vf.Surface, arm: robots.Arm, course: courses.Course, count: int
+) -> tuple[FloatArray, list[solvers.Problem]]:
+    """Positions (count, 3) that the tool meets on the course, and the QPs of its contacts."""
+    controller = vf.Controller(arm, [vf.MeshFixture(surface, "certified", 5e-3)])
+    controller.warm_up()
+    points, problems = [], []
+    for spot, start in enumerate(course.starts):
+        q = start
+        for target in course.targets(spot):
+            step = controller.step(q, target)
+            points.append(arm.tip(q).translation.copy())
+            if step.solver is not vf.Solver.FREE and len(step.planes):
+                problems.append(solvers.problem(arm, q, target, step, controller.settings))
+            q = step.q
+    chosen = np.linspace(0, len(points) - 1, min(count, len(points))).astype(int)
+    few = np.linspace(0, len(problems) - 1, min(count, len(problems))).astype(int)
+    return np.array([points[k] for k in chosen]), [problems[k] for k in few]
+
+
+def _planes(bodies: Bodies, radius: float) -> list[Peer]:
+    surface, points = bodies.surface, bodies.points
+    standoff = vf.Settings().standoff
+    return [
+        Peer(
+            "vf: certified_planes",
+            lambda k: vf.certified_planes(surface, points[k], radius, standoff),
+            lambda planes: planes,
+            "planes that keep any step off any mesh",
+            ours=True,
+        ),
+        Peer(
+            "vf: paper_planes",
+            lambda k: vf.paper_planes(surface, points[k], radius),
+            lambda planes: planes,
+            "Conditions 1–3",
+            ours=True,
+        ),
+        Peer(
+            "vf: Surface.within",
+            lambda k: surface.within(points[k], radius),
+            lambda _contacts: None,
+            "what the paper's rule has to list first",
+            ours=True,
+        ),
+    ]
+
+
+def _check_planes(
+    bodies: Bodies, answers: Sequence[Any], chosen: Sequence[int], radius: float
+) -> tuple[bool, str]:
+    """Whether any sampled point of the mesh in the ball is before every plane."""
+    worst, count = -np.inf, 0
+    for planes, k in zip(answers, chosen, strict=True):
+        if planes is None:
+            return True, "see above"
+        near, _ = bodies.centroids.within(bodies.queries[k], radius * 1e3)
+        corners = bodies.surface.vertices[bodies.surface.faces[near]]
+        x = bodies.points[k]
+        worst = max(worst, leak(corners, x, planes.radius, planes.normals, planes.offsets))
+        count += len(planes)
+    return worst <= LEAK, f"{count / len(chosen):,.1f} planes on average, no leak" + (
+        "" if worst <= LEAK else f" but {worst * 1e6:.2g} µm"
+    )
