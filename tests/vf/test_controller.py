@@ -347,6 +347,45 @@ def test_a_tool_inside_comes_out_and_never_gets_deeper(flip):
             assert run.tip == pytest.approx(goal, abs=UM)
 
 
+@pytest.mark.parametrize("height", [0.0, 1e-18, 1e-16, 1e-15])
+@pytest.mark.parametrize("gap", [5 * UM, 30 * UM])
+def test_a_tool_on_the_floor_beside_a_wall_does_not_enter_it(height, gap):
+    """On the surface within rounding the way out is up, not along into what stands there."""
+    wall = trimesh.creation.box((0.02, 0.02, 0.04))
+    floor = trimesh.creation.box((0.02, 0.02, 0.02))
+    vertices = np.concatenate(
+        [floor.vertices - np.array([0.01, 0, 0.01]), wall.vertices + np.array([0.01, 0, 0])]
+    )
+    surface = vf.Surface.from_arrays(vertices, np.concatenate([floor.faces, wall.faces + 8]))
+    run = point(surface, [-gap, 1e-3, height])
+    run.to(pose([3e-3, 1e-3, 0.0]), 50)
+    assert run.tip[0] < 0
+    assert run.tip[2] >= 0
+
+
+@pytest.mark.parametrize("tip_radius", [0.5e-3, 4e-3, 4.5e-3, 4.8e-3])
+def test_a_tip_that_overlaps_the_surface_gets_no_deeper(tip_radius):
+    """In a rough cavity nearly or more than filled by the tip; the largest spend all planes."""
+    rng = np.random.default_rng(6)
+    cavity = trimesh.creation.icosphere(4)
+    rough = 5e-3 * cavity.vertices * (1 + 0.04 * rng.normal(size=(len(cavity.vertices), 1)))
+    shell = trimesh.creation.box((0.03, 0.03, 0.03))
+    surface = vf.Surface.from_arrays(
+        np.concatenate([rough, shell.vertices]),
+        np.concatenate([cavity.faces[:, ::-1], shell.faces + len(rough)]),
+    )
+    brute = naive.Brute(surface)
+    for direction in np.eye(3):
+        start = max(0.0, 4.3e-3 - 0.8 * tip_radius) * direction  # overlapping from the start
+        run = point(surface, start.tolist(), tip_radius=tip_radius)
+        before = brute.nearest(run.tip)
+        for _ in range(60):
+            run.step(pose(8e-3 * direction))
+            now = brute.nearest(run.tip)
+            assert now >= min(before, tip_radius) - 1e-9, (before, now, run.tip.tolist())
+            before = now
+
+
 @pytest.mark.parametrize("flipped", [[4, 6], [4], [0, 3, 7]])
 def test_flipped_faces_of_a_closed_mesh_are_not_crossed(flipped):
     solid = trimesh.creation.box((0.02, 0.02, 0.02))
@@ -383,6 +422,13 @@ def test_unusable_targets_are_refused_without_motion(name, target):
     assert np.allclose(step.tip.translation, arm.tip(arm.neutral).translation)
     good = controller.step(arm.neutral, arm.tip(arm.neutral))
     assert good.status is Status.SOLVED
+
+
+def test_refused_steps_are_read_only_too():
+    arm = robots.load("point")
+    step = vf.Controller(arm, []).step(arm.neutral, pose([np.nan, 0, 0]))
+    for array in (step.q, step.force, step.multipliers, step.limits):
+        assert not array.flags.writeable
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -222,8 +222,8 @@ def test_edge_kinds_agree_with_trimesh(name):
 # Inside
 
 
-# Far groups of triangles act as one dipole. All that is asked of the number is to tell 0 from 1.
-ROUGH = 0.2
+# Far groups of triangles act as one. All that is asked of the number is to tell 0 from 1.
+ROUGH = 0.02
 
 
 def _probe(surface: vf.Surface, rng: np.random.Generator) -> np.ndarray:
