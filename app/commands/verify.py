@@ -100,7 +100,7 @@ class Verify:
 
 def main(arguments: list[str]) -> int:
     options = parse_as(Verify, "vf-sandbox verify", arguments, ABOUT)
-    return run(options, Console(highlight=False, width=None if sys.stdout.isatty() else 130))
+    return run(options, Console(highlight=False, width=None if sys.stdout.isatty() else 140))
 
 
 def run(options: Verify, console: Console) -> int:
