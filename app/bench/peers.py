@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -57,7 +58,7 @@ def run(
         (
             f"nearest triangle, {len(surface.faces):,} triangles",
             queries.nearest(bodies, held),
-            lambda answers, chosen: queries.check_near(bodies, answers, chosen),
+            partial(queries.check_near, bodies),
             len(points),
         )
     ]
@@ -66,7 +67,7 @@ def run(
             (
                 f"triangles in the ball of {format_length(radius)}, {len(surface.faces):,}",
                 queries.ball(bodies, held, radius),
-                lambda answers, chosen, r=radius: queries.check_ball(bodies, answers, chosen, r),
+                partial(queries.check_ball, bodies, radius=radius),
                 len(points),
             )
         )
@@ -76,7 +77,7 @@ def run(
                 f"planes for a motion sphere of {format_length(radius)} "
                 "(no peer has them: beside the list of its triangles)",
                 _planes(bodies, radius),
-                lambda answers, chosen, r=radius: _check_planes(bodies, answers, chosen, r),
+                partial(_check_planes, bodies, radius=radius),
                 len(points),
             )
         )
@@ -87,7 +88,7 @@ def run(
                 f"QP of a tick in contact, {np.mean([len(p.b) for p in problems]):.1f} planes "
                 "on average and 6 joints with speed and position limits",
                 solvers.peers(problems, missing),
-                lambda answers, chosen: solvers.check(problems, answers, chosen),
+                partial(solvers.check, problems),
                 len(problems),
             )
         )

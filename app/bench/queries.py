@@ -147,11 +147,12 @@ def nearest(bodies: Bodies, held: Holders) -> list[Peer]:
         )
     ]
     if held.fcpw is not None:
+        fcpw = held.fcpw
         single = queries.astype(np.float32)
         for wide, scene in held.fcpw_scenes.items():
 
             def ask_fcpw(k: int, scene: Any = scene) -> Any:
-                answer = held.fcpw.interaction_3D()
+                answer = fcpw.interaction_3D()
                 scene.find_closest_point(single[k], answer)
                 return answer
 
@@ -238,11 +239,12 @@ def ball(bodies: Bodies, held: Holders, radius: float) -> list[Peer]:
         )
     ]
     if held.fcpw is not None:
-        spheres = [held.fcpw.bounding_sphere_3D(q.astype(np.float32), r * r) for q in queries]
+        fcpw = held.fcpw
+        spheres = [fcpw.bounding_sphere_3D(q.astype(np.float32), r * r) for q in queries]
         scene = held.fcpw_scenes[False]
 
         def ask_fcpw(k: int) -> Any:
-            found = held.fcpw.interaction_3D_list()
+            found = fcpw.interaction_3D_list()
             scene.intersect(spheres[k], found, False)
             return found
 
@@ -268,15 +270,13 @@ def ball(bodies: Bodies, held: Holders, radius: float) -> list[Peer]:
         )
     )
     if held.trimesh is not None:
-        tree = held.trimesh_mesh.triangles_tree
+        tree, closest_point = held.trimesh_mesh.triangles_tree, held.trimesh.triangles.closest_point
         corners = bodies.centroids.corners
 
         def ask_trimesh(k: int) -> Any:
             q = queries[k]
             near = np.fromiter(tree.intersection(np.concatenate([q - r, q + r])), dtype=np.int64)
-            closest = held.trimesh.triangles.closest_point(
-                corners[near], np.broadcast_to(q, (len(near), 3))
-            )
+            closest = closest_point(corners[near], np.broadcast_to(q, (len(near), 3)))
             return near[((closest - q) ** 2).sum(axis=1) <= r * r]
 
         peers.append(

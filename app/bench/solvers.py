@@ -122,7 +122,7 @@ def _osqp(osqp: Any, problems: Sequence[Problem]) -> Peer:
             np.concatenate([np.full(len(p.b), np.inf), p.upper * MM]),
             verbose=False, eps_abs=1e-5, eps_rel=0.0, max_iter=20_000,
         )  # fmt: skip
-        return solver.solve()
+        return solver.solve(raise_error=False)
 
     return Peer("OSQP: set up anew each tick", ask, lambda r: r.x / MM, "tolerance 1e-5 mm")
 

@@ -1,0 +1,237 @@
+"""`bench loop`: is the control thread on time while a browser looks on and other work goes on?"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from app.bench.machine import machine, percentiles, resident
+from app.bench.settings import Loop
+from app.bench.watcher import NoBrowser, Watcher
+from app.session import Refused, Session
+from app.settings import Options
+from app.view.page import Page
+from meshes import ladder
+
+OTHER = "skull-fine"  # what the loading phase changes to and back: 936,456 triangles
+JOINING = 5.0  # a second client comes, and goes, at most this often [s]
+SETTLE = 2.0  # between phases [s]
+LATE = 1e-3  # a tick later than this is not on time [s]
+FIRST_TICK = 60.0  # patience for it [s]
+
+
+class Tap:
+    """Notes start, lateness and duration of every tick of a control loop, without allocating."""
+
+    def __init__(self, session: Session, room: int) -> None:
+        self._rows = np.zeros((room, 3))
+        self.count = 0
+        # The loop tells views a summary per second; every single tick is nobody else's business.
+        clock = session._loop._clock
+        record = clock.record
+
+        def tapped(status: Any, started: float, late: float, spent: float, overrun: bool) -> None:
+            k = self.count
+            if k < room:
+                self._rows[k] = started, late, spent
+                self.count = k + 1
+            record(status, started, late, spent, overrun)
+
+        clock.record = tapped  # type: ignore[method-assign]
+
+    def since(self, first: int) -> NDArray[np.float64]:
+        """Ticks from number `first` on: (k, 3) start, lateness, duration [s]."""
+        return self._rows[first : self.count].copy()
+
+
+def run(
+    options: Loop, say: Callable[[str], None], advance: Callable[[float], None]
+) -> dict[str, Any]:
+    """Go through the phases; returns what `loop.json` holds. See `runtime.run` for the callbacks.
+
+    Raises:
+        ValueError: an unusable mesh or setting.
+    """
+    about = machine()
+    with ExitStack() as stack:
+        path, unit, name = _mesh(options, stack, say)
+        wanted = Options(
+            mesh=path, unit=unit, rate=options.rate, rule=options.rule, radius=options.radius,
+            port=0,
+        )  # fmt: skip
+        began = time.perf_counter()
+        session = Session(wanted, progress=say)
+        # Twice the ticks of all phases: loading and settling go on for longer than a phase.
+        room = int(options.rate * (options.seconds + SETTLE + 30.0) * (len(options.phases) + 1))
+        tap = Tap(session, room)
+        stack.callback(session.close)
+        session.start()
+        _until(lambda: tap.count > 0, FIRST_TICK)
+        first_tick = time.perf_counter() - began
+        page = Page(session, wanted.host, 0)
+        stack.callback(page.close)
+        ready = time.perf_counter() - began
+        browser, seen = None, "no browser asked for"
+        if options.browser:
+            say("opening the browser")
+            try:
+                browser = stack.enter_context(Watcher(page.url))
+                seen = "a headless Chromium looks on (software rendering, on the same cores)"
+            except NoBrowser as reason:
+                seen = f"no browser: {reason}"
+        rows = []
+        for k, phase in enumerate(options.phases):
+            say(f"{phase}, {options.seconds:g} s")
+            rows.append(_phase(phase, options, session, tap, browser))
+            advance((k + 1) / len(options.phases))
+    return {
+        "what": "vf-sandbox bench loop",
+        "machine": about,
+        "options": {**asdict(options), "out": str(options.out)},
+        "mesh": name,
+        "browser": seen,
+        "start": {"first tick [s]": first_tick, "page [s]": ready},
+        "phases": rows,
+    }
+
+
+def _mesh(
+    options: Loop, stack: ExitStack, say: Callable[[str], None]
+) -> tuple[str, str | None, str]:
+    """Mesh, unit and description; the ladder's top is written to a file, as a user's mesh is."""
+    if options.mesh is not None:
+        return options.mesh, options.unit, options.mesh
+    shape = ladder.source()
+    rungs = ladder.rungs(shape, (ladder.SIZES[-1],), say)
+    size, (vertices, faces) = next(iter(rungs.items()))
+    folder = stack.enter_context(tempfile.TemporaryDirectory())
+    file = Path(folder) / "million.ply"
+    trimesh.Trimesh(vertices * 1e3, faces, process=False).export(file)
+    return str(file), "mm", f"{size:,} triangles, binary PLY, {shape.name}"
+
+
+def _phase(
+    phase: str, options: Loop, session: Session, tap: Tap, browser: Watcher | None
+) -> dict[str, Any]:
+    session.reset()
+    session.set_autopilot(phase != "idle")
+    time.sleep(min(SETTLE, options.seconds))
+    stop = threading.Event()
+    done = {"loads": 0, "joins": 0}
+    work: list[threading.Thread] = []
+    if phase == "loading":
+        work.append(threading.Thread(target=_load, args=(session, stop, done), name="loading"))
+    elif phase == "joining" and browser is not None:
+        work.append(threading.Thread(target=_join, args=(browser, stop, done), name="joining"))
+    frames = _frames(browser) if phase != "joining" else None
+    first, memory = tap.count, resident()
+    processor, began = time.process_time(), time.perf_counter()
+    overruns, waited = session.latest().stats.overruns, _waited(session)
+    for thread in work:
+        thread.start()
+    time.sleep(options.seconds)
+    elapsed = time.perf_counter() - began
+    busy = (time.process_time() - processor) / elapsed
+    ticks = tap.since(first)
+    row = summary(ticks, elapsed, options.rate)
+    waited_after = _waited(session)
+    stop.set()
+    for thread in work:
+        thread.join()
+    drawn = _frames(browser) if phase != "joining" else None
+    return {
+        "phase": phase,
+        **row,
+        "overruns": session.latest().stats.overruns - overruns,
+        "cpu": busy,
+        # Of the phase, what the control thread spent ready to run with every core taken: other
+        # processes' doing (the browser's too), not the interpreter lock's.
+        "no core": None
+        if waited is None or waited_after is None
+        else (waited_after - waited) / elapsed,
+        "memory [MB]": {"start": memory, "end": resident()},
+        "frames/s": None if frames is None or drawn is None else (drawn - frames) / elapsed,
+        **done,
+    }
+
+
+def summary(ticks: NDArray[np.float64], elapsed: float, rate: float) -> dict[str, Any]:
+    """How punctual ticks (k, 3) of start, lateness, duration [s] were over `elapsed` [s].
+
+    The loop never makes up for lost time, so ticks that a stall swallowed are counted as late.
+    """
+    starts, late, spent = ticks[:, 0], ticks[:, 1], ticks[:, 2]
+    due = max(round(elapsed * rate), len(ticks), 1)
+    names = ("p50", "p99", "p99.9")
+    of = (50.0, 99.0, 99.9)
+    gaps = np.diff(starts)
+    return {
+        "ticks": len(ticks),
+        "rate [Hz]": (len(ticks) - 1) / float(starts[-1] - starts[0]) if len(ticks) > 1 else 0.0,
+        "late [us]": dict(zip(names, percentiles(late * 1e6, of), strict=True)),
+        "tick [us]": dict(zip(names, percentiles(spent * 1e6, of), strict=True)),
+        "punctual": float((late < LATE).sum()) / due,
+        "longest stall [ms]": float(gaps.max()) * 1e3 if len(gaps) else float("nan"),
+    }
+
+
+def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None:
+    """Change the mesh to another one and back, until told to stop; end where it began."""
+    mesh, unit = session.options.mesh, session.options.unit
+    while not stop.is_set():
+        for name, its in ((OTHER, None), (mesh, unit)):
+            try:
+                session.change(mesh=name, unit=its)
+            except Refused:
+                return
+            session.set_autopilot(True)
+            done["loads"] += 1
+
+
+def _join(browser: Watcher, stop: threading.Event, done: dict[str, int]) -> None:
+    """Let a second client come and go."""
+    while not stop.is_set():
+        try:
+            browser.tell("join")
+            done["joins"] += 1
+            stop.wait(JOINING)
+            browser.tell("leave")
+        except NoBrowser:
+            return
+        stop.wait(JOINING)
+
+
+def _waited(session: Session) -> float | None:
+    """Time the control thread has been runnable without a core [s], where Linux tells."""
+    thread = session._loop._thread.native_id
+    try:
+        return int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[1]) * 1e-9
+    except (OSError, ValueError, IndexError):
+        return None
+
+
+def _frames(browser: Watcher | None) -> int | None:
+    if browser is None:
+        return None
+    try:
+        return int(browser.tell("frames")["frames"])
+    except NoBrowser:
+        return None
+
+
+def _until(condition: Callable[[], bool], patience: float) -> None:
+    deadline = time.monotonic() + patience
+    while not condition():
+        if time.monotonic() > deadline:
+            raise ValueError("the control thread did not tick")
+        time.sleep(1e-3)

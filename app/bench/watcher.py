@@ -1,0 +1,158 @@
+"""A headless Chromium that looks at a page, in a process of its own: `-m app.bench.watcher URL`.
+
+Apart, so that driving the browser takes nothing from the interpreter that is being measured. Words
+on standard input (`frames`, `join`, `leave`, `quit`) are each answered by a line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from types import TracebackType
+from typing import Any
+
+# Software rendering; the rest keeps a container and its network out of the way.
+ARGUMENTS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+_COUNT = """() => {
+  window.seen = 0;
+  const count = () => { window.seen += 1; requestAnimationFrame(count); };
+  requestAnimationFrame(count);
+}"""
+
+
+class NoBrowser(RuntimeError):
+    """No page can be watched here; the message says why."""
+
+
+def chromium() -> str:
+    """Path of a Chromium or Chrome: VF_CHROMIUM, or the usual names.
+
+    Raises:
+        NoBrowser: there is none.
+    """
+    names = (os.environ.get("VF_CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
+    for name in names:
+        if name and (path := shutil.which(name)):
+            return path
+    raise NoBrowser("no Chromium found: install one, or name it in VF_CHROMIUM")
+
+
+class Watcher:
+    """The other end of this module: starts the process and talks to it."""
+
+    def __init__(self, url: str) -> None:
+        """Open the page and wait until it draws.
+
+        Raises:
+            NoBrowser: Playwright or Chromium is missing, or the page never drew.
+        """
+        chromium()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "app.bench.watcher", url],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            self._answer()
+        except NoBrowser:
+            self.close()
+            raise
+
+    def __enter__(self) -> Watcher:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def tell(self, word: str) -> dict[str, Any]:
+        """Send a word and wait for its answer."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(word + "\n")
+            self._process.stdin.flush()
+        except OSError as error:
+            raise NoBrowser(f"the browser is gone ({error})") from None
+        return self._answer()
+
+    def close(self) -> None:
+        """End browser and process. Safe to call twice."""
+        if self._process.poll() is None:
+            assert self._process.stdin is not None
+            try:
+                self._process.stdin.close()  # ends the child's loop
+                self._process.wait(20)
+            except (OSError, subprocess.TimeoutExpired):
+                self._process.kill()
+                self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        answer = json.loads(line) if line else {"error": "the browser's process ended"}
+        if "error" in answer:
+            raise NoBrowser(str(answer["error"]))
+        return dict(answer)
+
+
+def _main(url: str) -> int:
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        _say(error=f"Playwright is not installed ({error}): pip install 'vf-sandbox[bench]'")
+        return 1
+    try:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
+            pages = [_open(browser, url)]
+            pages[0].evaluate(_COUNT)
+            _say(ready=True)
+            for line in sys.stdin:
+                word = line.strip()
+                if word == "join":
+                    pages.append(_open(browser, url))
+                elif word == "leave" and len(pages) > 1:
+                    pages.pop().context.close()
+                elif word == "quit":
+                    break
+                _say(frames=pages[0].evaluate("window.seen"), pages=len(pages))
+            browser.close()
+    except (Error, NoBrowser) as error:
+        _say(error=" ".join(str(error).split())[:300])
+        return 1
+    return 0
+
+
+def _open(browser: Any, url: str) -> Any:
+    page = browser.new_context(viewport={"width": 1200, "height": 800}).new_page()
+    page.goto(url)
+    page.wait_for_selector("canvas", timeout=60_000)
+    return page
+
+
+def _say(**answer: Any) -> None:
+    print(json.dumps(answer), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(_main(sys.argv[1]))
