@@ -342,10 +342,14 @@ class Controller:
 
     def _refused(self, q: FloatArray, started: float, T: pin.SE3 | None = None) -> Step:
         zero = np.zeros(3)
+        none = np.zeros(0)
+        planes = Planes.none(0.0)
+        for array in (q, zero, none, planes.normals, planes.offsets, planes.points):
+            array.flags.writeable = False
         elapsed = perf_counter() - started
         return Step(
-            q, T if T is not None else pin.SE3.Identity(), Planes.none(0.0), zero,
-            Status.REFUSED, Solver.IDLE, np.zeros(0), 0.0, inf, self._idle,
+            q, T if T is not None else pin.SE3.Identity(), planes, zero,
+            Status.REFUSED, Solver.IDLE, none, 0.0, inf, self._idle,
             Timings(elapsed, 0.0, 0.0, 0.0, elapsed),
         )  # fmt: skip
 

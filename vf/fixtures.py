@@ -14,6 +14,7 @@ from vf.surface import Surface
 
 # Nearer than this to the surface, the direction to it is rounding [m].
 ON_SURFACE = 1e-9
+LIFT = 1e-8  # [m], far above rounding and far below any standoff
 RULES = ("certified", "paper", "all", "off")
 
 
@@ -78,7 +79,7 @@ class MeshFixture:
                 return self._way_out(x, radius, standoff + tip_radius)
             planes = certified_planes(self.surface, x, radius, standoff, tip_radius)
             if planes.radius == 0.0 and self.surface.closed:
-                return self._way_out(x, radius, standoff + tip_radius)
+                return self._lifted(planes, x, radius, standoff, tip_radius)
             return planes
         choose = paper_planes if self.rule == "paper" else every_plane
         planes = choose(self.surface, x, radius + tip_radius)
@@ -87,14 +88,12 @@ class MeshFixture:
         return replace(planes, offsets=offsets, radius=radius)
 
     def _way_out(self, x: FloatArray, radius: float, clearance: float) -> Planes:
-        """From inside or from the surface itself: one plane at x, towards the way out."""
+        """From inside: one plane at x that lets only motion towards the nearest surface pass."""
         distance, triangle, point = self.surface.nearest(x)
         if distance > ON_SURFACE:
             normal = (point - x) / distance
         else:
             normal = self.surface.normals[triangle].copy()
-            if self.surface.inside(x + clearance * normal):
-                normal = -normal
         return Planes(
             normal[None, :],
             np.array([normal @ x]),
@@ -104,3 +103,25 @@ class MeshFixture:
             # Through the wall and clear of it, not across whatever lies behind.
             min(radius, distance + 2.0 * clearance),
         )
+
+    def _lifted(
+        self, held: Planes, x: FloatArray, radius: float, standoff: float, tip_radius: float
+    ) -> Planes:
+        """The planes for a tip exactly on a closed surface, where sides cannot be told at x itself.
+
+        They are those of a point a hair outside, relaxed so that x obeys them: the tip may stay
+        on the surface or leave it, never enter. Where no outside is found, `held` stands.
+        """
+        touching = self.surface.within(x, ON_SURFACE).triangles
+        normals = self.surface.normals[touching]
+        for normal in (normals.sum(axis=0), *normals):
+            size = float(np.linalg.norm(normal))
+            for side in (1.0, -1.0):
+                lifted = x + side * LIFT * normal / max(size, 1e-12)
+                if self.surface.nearest(lifted)[0] < 0.1 * LIFT or self.surface.inside(lifted):
+                    continue
+                planes = certified_planes(self.surface, lifted, radius, standoff, tip_radius)
+                offsets = np.minimum(planes.offsets, planes.normals @ x)
+                reach = max(planes.radius - LIFT, 0.0)
+                return replace(planes, offsets=offsets, radius=reach)
+        return held
