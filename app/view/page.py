@@ -205,7 +205,7 @@ class Page:
 
     def _tell(self, client: viser.ClientHandle | None, text: str) -> None:
         """A notification on one client's page."""
-        if client is not None:
+        if client is not None and client.client_id in self._server.get_clients():
             client.add_notification("vf-sandbox", text, color="orange", auto_close_seconds=6.0)
 
     def _layers(self) -> dict[str, tuple[bool, Callable[[bool], None]]]:
