@@ -20,6 +20,7 @@ Progress = Callable[[int], None]
 
 EPISODE = 400  # ticks from one start position
 SAMPLED = 97  # every so many ticks the blocked share is measured
+QUERIES_SAMPLED = 16  # and every so many queries, from the first on
 
 
 @dataclass
@@ -228,7 +229,7 @@ def query(
             result.leaking += 1
             if not result.first:
                 result.first = f"query {result.queries}: x = {x.tolist()}, radius {radius!r}"
-        if result.queries % SAMPLED == 0:
+        if result.queries % QUERIES_SAMPLED == 1:
             forbidden, free = oracles.blocked(surface, planes, x, radius, rng, 64)
             result.forbidden += forbidden
             result.free += free
