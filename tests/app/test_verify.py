@@ -74,7 +74,6 @@ def test_nothing_leaks(kind):
             assert found.queries == 25
             assert found.leaking == 0, f"{name}, {kind}, {edges} edges: {found.first}"
             assert 0 < found.free <= 2 * 64  # two of the queries are sampled for what is blocked
-            assert 0.0 <= found.blocked < 0.6
 
 
 # The campaign has teeth
