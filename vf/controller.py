@@ -30,6 +30,10 @@ RECOVERY = 0.5
 # Missing less than this share of the standoff is rounding, not a state to report.
 NEGLIGIBLE = 0.1
 SWEEPS = 16
+# The optimum is sought this many ticks ahead and then shortened to one. A tool pressed on a wall by
+# a proxy deep behind it spends its speed on the wall and crawls along it; looking farther makes it
+# quicker there, and jumpier over ridges.
+LOOK_AHEAD = 2.0
 BISECTIONS = 12
 
 
@@ -147,12 +151,14 @@ class Controller:
         self.settings = settings or Settings()
         n = len(arm.lower)
         self._reach = arm.velocity * self.settings.dt
+        self._horizon = LOOK_AHEAD * self._reach
         self._qp = ConstrainedLeastSquares(n)
         self._task = np.empty((6, n))
         self._desired = np.empty(6)
         self._lower = np.empty(n)
         self._upper = np.empty(n)
         self._idle = np.zeros(n, dtype=np.int8)
+        self._idle.flags.writeable = False
         # Which side a tip was on. A checked step stays on its side, so only a tip that no step of
         # ours led to is looked up; the answer is the same, only the time is not.
         self._known: tuple[bytes, tuple[bool, ...]] = (b"", ())
@@ -210,7 +216,7 @@ class Controller:
 
         distance, deficit = _assemble(
             J, x, T.rotation, goal, R_goal, planes.radius, s.rotation_length,
-            q, self.arm.lower, self.arm.upper, self._reach,
+            q, self.arm.lower, self.arm.upper,
             planes.normals, planes.offsets, planes.points, planes.rules, s.standoff, s.tip_radius,
             self._task, self._desired, self._lower, self._upper, rows, bounds,
         )  # fmt: skip
@@ -281,7 +287,7 @@ class Controller:
     def _solve(self, rows: FloatArray, bounds: FloatArray) -> Solution:
         return self._qp.solve(
             self._task, self._desired, self.settings.damping,
-            rows, bounds, self._lower, self._upper, pace=True,
+            rows, bounds, self._lower, self._upper, self._horizon,
         )  # fmt: skip
 
     def _verify(
@@ -298,21 +304,25 @@ class Controller:
     ) -> tuple[FloatArray, pin.SE3, float]:
         """Joint positions whose true tip obeys every plane and the ball, its pose, and the share.
 
-        Tried in this order: the optimum; the optimum with the rows moved by the linearisation error
-        just seen; ever shorter parts of it; standing still.
+        The optimum is first shortened, all joints alike, to what they can do in a tick: it obeys
+        the rows at any length, and the tip heads for where it will end. Tried in this order: that;
+        the same with the rows moved by the linearisation error just seen; ever shorter parts of it;
+        standing still.
         """
-        dq = solution.dq
+        pace = _pace(solution.dq, self._reach)
+        dq = pace * solution.dq
         if not dq.any():
             return q, T, 1.0
         T_new = self.arm.tip(q + dq)
         if self._allowed(T_new, x, planes, inside):
             return q + dq, T_new, 1.0
         error = T_new.translation - x - J[:3] @ dq
-        second = self._solve(rows, bounds - planes.normals @ error)
-        if second.solver in (Solver.SOLVED, Solver.FREE):
-            T_new = self.arm.tip(q + second.dq)
+        second = self._solve(rows, (bounds - planes.normals @ error) / pace)
+        if second.solver is not Solver.INFEASIBLE:
+            q_second = q + _pace(second.dq, self._reach) * second.dq
+            T_new = self.arm.tip(q_second)
             if self._allowed(T_new, x, planes, inside):
-                return q + second.dq, T_new, 1.0
+                return q_second, T_new, 1.0
         low, high = 0.0, 1.0
         best = (q, T, 0.0)
         for _ in range(BISECTIONS):
@@ -418,7 +428,7 @@ def rotation_log(R, w):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _prepare(  # type: ignore[no-untyped-def]
-    J, x, R, goal, R_goal, radius, length, q, lowest, highest, reach, task, desired, lower, upper
+    J, x, R, goal, R_goal, radius, length, q, lowest, highest, task, desired, lower, upper
 ):
     """Weighted task Jacobian, clamped desired step, and the joint bounds of this tick."""
     n = J.shape[1]
@@ -447,8 +457,8 @@ def _prepare(  # type: ignore[no-untyped-def]
             task[k, j] = J[k, j]
             task[3 + k, j] = length * J[3 + k, j]
         # A joint pushed beyond its limit may stay or come back, so that zero is always allowed.
-        lower[j] = min(max(lowest[j] - q[j], -reach[j]), 0.0)
-        upper[j] = max(min(highest[j] - q[j], reach[j]), 0.0)
+        lower[j] = min(lowest[j] - q[j], 0.0)
+        upper[j] = max(highest[j] - q[j], 0.0)
 
 
 @njit(cache=True, nogil=True)
@@ -514,16 +524,26 @@ def _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bou
 
 @njit(cache=True, nogil=True)
 def _assemble(  # type: ignore[no-untyped-def]
-    J, x, R, goal, R_goal, radius, length, q, lowest, highest, reach,
+    J, x, R, goal, R_goal, radius, length, q, lowest, highest,
     normals, offsets, points, rules, standoff, tip_radius,
     task, desired, lower, upper, rows, bounds,
 ):  # fmt: skip
     """The whole problem of a tick in one call from Python: `_prepare`, then `_rows`."""
     _prepare(
-        J, x, R, goal, R_goal, radius, length, q, lowest, highest, reach,
+        J, x, R, goal, R_goal, radius, length, q, lowest, highest,
         task, desired, lower, upper,
     )  # fmt: skip
     return _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bounds)
+
+
+@njit(cache=True, nogil=True)
+def _pace(dq, reach):  # type: ignore[no-untyped-def]
+    """Largest share ≤ 1 of the joint step dq (n,) with every joint within its reach (n,)."""
+    share = 1.0
+    for j in range(dq.shape[0]):
+        if abs(dq[j]) * share > reach[j]:
+            share = reach[j] / abs(dq[j])
+    return share
 
 
 @njit(cache=True, nogil=True)

@@ -34,6 +34,9 @@ VALLEY_ROOM = 0.05
 EASE = 0.004
 # Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
 BUMP = 0.75
+# A plane that could only be put through x itself yields by this much: between two such planes that
+# rounding has tilted against each other the tool could not even slide [m].
+YIELD = 1e-11
 # Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
 HEAP = 4096
 
@@ -337,7 +340,7 @@ def cover(  # type: ignore[no-untyped-def]
             offset = base + tip_radius + standoff + ease
             limit = base + BUMP * standoff + ease
         else:
-            offset = room
+            offset = room - min(YIELD, 0.1 * max(space, 0.0))
             limit = base + BUMP * max(space, 0.0)
         normals[m, 0], normals[m, 1], normals[m, 2] = nx, ny, nz
         offsets[m] = offset

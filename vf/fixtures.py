@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from vf.conditions import every_plane, paper_planes
-from vf.cover import certified_planes
+from vf.cover import YIELD, certified_planes
 from vf.planes import FloatArray, Planes, Rule, checked_length
 from vf.surface import Surface
 
@@ -84,7 +84,7 @@ class MeshFixture:
         choose = paper_planes if self.rule == "paper" else every_plane
         planes = choose(self.surface, x, radius + tip_radius)
         # Towards x by the standoff, but never past it: standing still stays allowed.
-        offsets = np.minimum(planes.offsets + standoff + tip_radius, planes.normals @ x)
+        offsets = np.minimum(planes.offsets + standoff + tip_radius, planes.normals @ x - YIELD)
         return replace(planes, offsets=offsets, radius=radius)
 
     def _way_out(self, x: FloatArray, radius: float, clearance: float) -> Planes:

@@ -85,6 +85,7 @@ class ConstrainedLeastSquares:
         self._best = np.empty(n)
         self._dq = np.empty(n)
         self._x = np.empty(n)
+        self._endless = np.full(n, np.inf)
         self._grow(capacity)
         rows = 8
         while rows <= capacity:
@@ -107,7 +108,7 @@ class ConstrainedLeastSquares:
         b: FloatArray,
         lower: FloatArray,
         upper: FloatArray,
-        pace: bool = False,
+        pace: FloatArray | None = None,
     ) -> Solution:
         """Solve one problem; finite inputs are the caller's duty.
 
@@ -117,14 +118,14 @@ class ConstrainedLeastSquares:
             damping: λ > 0 [m²].
             G, b: (m, n), (m,) rows G Δq ≥ b.
             lower, upper: (n,) bounds with lower ≤ 0 ≤ upper.
-            pace: shorten d so that its unconstrained step keeps every joint within its speed
-                (the larger of −lower and upper): the tip then heads straight for its goal.
+            pace: (n,) shorten d so that its unconstrained step moves no joint farther than this:
+                the tip still heads straight for its goal. None: as far as d asks.
         """
         m = len(b)
         if m + 2 * self.n > len(self._bounds):
             self._grow(2 * (m + 2 * self.n))
         count = _reduce(
-            J, d, damping, G, b, lower, upper, pace,
+            J, d, damping, G, b, lower, upper, self._endless if pace is None else pace,
             self._factor, self._best, self._rows, self._bounds, self._scales, self._origin,
             self._dq,
         )  # fmt: skip
@@ -254,17 +255,13 @@ def _reduce(  # type: ignore[no-untyped-def]
         for r in range(i + 1, n):
             h -= factor[r, i] * dq[r]
         dq[i] = h / factor[i, i]
-    if pace:
-        excess = 1.0
-        for j in range(n):
-            speed = max(-lower[j], upper[j])
-            if abs(dq[j]) > excess * speed:
-                excess = abs(dq[j]) / speed if speed > 0.0 else np.inf
-        if excess == np.inf:
-            excess = 1.0  # a joint that cannot move at all is the bounds' business
-        for j in range(n):
-            best[j] /= excess
-            dq[j] /= excess
+    excess = 1.0
+    for j in range(n):
+        if abs(dq[j]) > excess * pace[j]:
+            excess = abs(dq[j]) / pace[j]
+    for j in range(n):
+        best[j] /= excess
+        dq[j] /= excess
 
     free = True
     highest = 0.0

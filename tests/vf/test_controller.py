@@ -140,7 +140,7 @@ def test_joint_limits_are_reached_and_kept(name):
     controller = vf.Controller(arm, [], vf.Settings(dt=0.02))
     rng = np.random.default_rng(3)
     at_limit = False
-    for _ in range(4):
+    for _ in range(10):
         run = Run(controller, rng.uniform(arm.lower, arm.upper))
         goal = pin.SE3(pin.exp3(3.0 * rng.random() * naive.unit(rng)), 0.9 * naive.unit(rng))
         for _ in range(100):

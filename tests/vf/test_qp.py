@@ -275,7 +275,7 @@ def test_pacing_keeps_the_direction():
     problem = Problem(np.random.default_rng(9), 3, 0)
     problem.J, problem.d = np.eye(3), np.array([3e-3, -1e-3, 0.5e-3])
     problem.lower, problem.upper = np.full(3, -2e-4), np.full(3, 2e-4)
-    solution = ConstrainedLeastSquares(3).solve(*problem.arguments, pace=True)
+    solution = ConstrainedLeastSquares(3).solve(*problem.arguments, pace=np.full(3, 2e-4))
     assert np.abs(solution.dq).max() == pytest.approx(2e-4, rel=1e-6)
     assert np.allclose(solution.dq / np.linalg.norm(solution.dq),
                        problem.d / np.linalg.norm(problem.d), atol=1e-6)  # fmt: skip
