@@ -116,6 +116,16 @@ def test_a_resting_tool_does_not_jitter(robot, radius):
             assert jitter < 1 * UM, f"{name}, {robot}, {radius}: {jitter} m at {goal.tolist()}"
 
 
+@pytest.mark.parametrize("radius", [0.5 * MM, 5 * MM])
+def test_a_tool_rests_in_a_shallow_bowl(radius):
+    """Between two faces of 1.3°, where either could be taken for a bump of the other."""
+    start = np.array([0.029503301922983692, 0.037862645706755266, -0.03552375338015426])
+    goal = np.array([0.02687708742452562, 0.04186496379788978, -0.04820812558172949])
+    surface = naive.catalogue("skull-precut")
+    tips = path(robots.load("point"), surface, radius, start, [goal] * 1200)
+    assert np.ptp(tips[-200:], axis=0).max() < 1 * UM
+
+
 # Sliding
 
 
