@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
 from vf.pdtree import box_distance2, triangle_at
-from vf.planes import Planes, checked_length, checked_point
+from vf.planes import FloatArray, Planes, checked_length, checked_point
 from vf.surface import Surface
 
 BUDGET = 64
@@ -34,11 +34,16 @@ VALLEY_ROOM = 0.05
 EASE = 0.004
 # Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
 BUMP = 0.75
+# In full only for what is this many standoffs away, though, and nearer in proportion: in contact
+# with a shallow bowl either of two faces would be a bump of the other, and the tool would hop from
+# the plane of one to that of the other.
+NEAR = 20.0
 # A plane that could only be put through x itself yields by this much: between two such planes that
 # rounding has tilted against each other the tool could not even slide [m].
 YIELD = 1e-11
 # Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
 HEAP = 4096
+SEEN = 128  # more than BUDGET
 
 
 def certified_planes(
@@ -68,29 +73,17 @@ def certified_planes(
     checked_length("radius", radius)
     checked_length("standoff", standoff)
     checked_length("tip radius", tip_radius)
-    normals = np.empty((BUDGET, 3))
-    offsets = np.empty(BUDGET)
-    points = np.empty((BUDGET, 3))
-    rows = np.empty(BUDGET, dtype=np.int64)
-    rules = np.empty(BUDGET, dtype=np.int64)
-    m, valid = cover(
-        surface.tree,
-        surface.edges,
-        surface.rounding,
-        p[0],
-        p[1],
-        p[2],
-        radius,
-        standoff,
-        tip_radius,
-        normals,
-        offsets,
-        points,
-        rows,
-        rules,
-    )
+    return cover(surface, p, radius, standoff, tip_radius)
+
+
+def cover(
+    surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
+) -> Planes:
+    """`certified_planes` for the control tick, where the arguments are known to be sound."""
     return Planes(
-        normals[:m], offsets[:m], points[:m], surface.tree.order[rows[:m]], rules[:m], valid
+        *_cover(
+            surface.tree, surface.edges, surface.rounding, x, radius, standoff, tip_radius, BUDGET
+        )
     )
 
 
@@ -131,12 +124,20 @@ def _pop(keys, items, size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _box_behind(boxes, node, normals, limits, m):  # type: ignore[no-untyped-def]
-    """Whether a node's box is wholly behind one of the planes."""
+def _less(d2, far):  # type: ignore[no-untyped-def]
+    """Share of a bump that does not count at a squared distance: 1 in contact, 0 from `far` on."""
+    if d2 >= far * far:
+        return 0.0
+    return 1.0 - np.sqrt(d2) / far
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _box_behind(boxes, node, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
+    """Whether a node's box is wholly behind one of the planes seen … m − 1."""
     cx, cy, cz = boxes[node, 0], boxes[node, 1], boxes[node, 2]
-    for i in range(m):
+    for i in range(seen, m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        top = nx * cx + ny * cy + nz * cz - limits[i]
+        top = nx * cx + ny * cy + nz * cz - limits[i] + less * bumps[i]
         if top >= 0.0:
             continue
         for k in range(3):
@@ -151,11 +152,11 @@ def _box_behind(boxes, node, normals, limits, m):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _triangle_behind(corners, t, normals, limits, m):  # type: ignore[no-untyped-def]
-    """Whether a triangle is wholly behind one of the planes: most are, and need no clipping."""
-    for i in range(m):
+def _triangle_behind(corners, t, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
+    """Whether a triangle is wholly behind one of the planes seen … m − 1: most need no clipping."""
+    for i in range(seen, m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        limit = limits[i]
+        limit = limits[i] - less * bumps[i]
         if (
             nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2] < limit
             and nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5] < limit
@@ -190,7 +191,7 @@ def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _remainder(corners, t, normals, limits, m, polygon, spare):  # type: ignore[no-untyped-def]
+def _remainder(corners, t, normals, limits, bumps, less, m, polygon, spare):  # type: ignore[no-untyped-def]
     """Clip triangle t to what no plane covers: corner count, and whether it is in `spare`."""
     for j in range(3):
         for k in range(3):
@@ -199,10 +200,11 @@ def _remainder(corners, t, normals, limits, m, polygon, spare):  # type: ignore[
     swapped = False
     for i in range(m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        limit = limits[i] - less * bumps[i]
         if swapped:
-            count = _clip(spare, polygon, count, nx, ny, nz, limits[i])
+            count = _clip(spare, polygon, count, nx, ny, nz, limit)
         else:
-            count = _clip(polygon, spare, count, nx, ny, nz, limits[i])
+            count = _clip(polygon, spare, count, nx, ny, nz, limit)
         swapped = not swapped
         if count == 0:
             break
@@ -238,35 +240,29 @@ def _closest_on_polygon(polygon, count, x, y, z):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def cover(  # type: ignore[no-untyped-def]
-    tree,
-    edges,
-    rounding,
-    x,
-    y,
-    z,
-    radius,
-    standoff,
-    tip_radius,
-    normals,
-    offsets,
-    points,
-    rows,
-    rules,
-):
-    """Fill the arrays with planes; returns their number and the radius they are valid for.
-
-    `rows` are triangles in tree order. See `certified_planes`.
-    """
-    budget = offsets.shape[0]
+def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # type: ignore[no-untyped-def]
+    """The fields of `Planes`, see `certified_planes`."""
+    x, y, z = p[0], p[1], p[2]
     reach = radius + tip_radius
     reach2 = reach * reach * (1.0 + 1e-9) + 1e-30
-    limits = np.empty(budget)  # a point z of the mesh is behind plane i when n·z < limits[i]
+    normals = np.empty((budget, 3))
+    offsets = np.empty(budget)
+    points = np.empty((budget, 3))
+    triangles = np.empty(budget, dtype=np.int64)
+    rules = np.empty(budget, dtype=np.int64)
+    # A point z of the mesh is behind plane i when n·z < limits[i], of which bumps[i] is for bumps
+    # and counts less and less for triangles nearer than `far`.
+    limits = np.empty(budget)
+    bumps = np.empty(budget)
+    far = tip_radius + NEAR * standoff
+    # A waiting node is its number, a waiting triangle −1 − its number; times SEEN, plus the number
+    # of planes it has already been tested against.
     keys = np.empty(HEAP)
-    items = np.empty(HEAP, dtype=np.int32)  # node, or −1 − triangle
+    items = np.empty(HEAP, dtype=np.int64)
     polygon = np.empty((budget + 4, 3))
     spare = np.empty((budget + 4, 3))
     m = 0
+    valid = radius
     size = 1
     keys[0] = box_distance2(tree.boxes, 0, x, y, z)
     items[0] = 0
@@ -277,35 +273,45 @@ def cover(  # type: ignore[no-untyped-def]
             break
         _pop(keys, items, size)
         size -= 1
+        seen = item % SEEN
+        item = item // SEEN
+        less = _less(d2, far)
         if item >= 0:
-            if _box_behind(tree.boxes, item, normals, limits, m):
+            if _box_behind(tree.boxes, item, normals, limits, bumps, less, seen, m):
                 continue
             child = tree.links[item, 0]
             first = tree.links[item, 1]
             count = 2 if child >= 0 else tree.links[item, 2]
             if size + count > HEAP:
-                return m, max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+                break
             for c in range(count):
                 if child >= 0:
                     entry = child + c
                     e2 = box_distance2(tree.boxes, entry, x, y, z)
-                    if e2 <= reach2 and _box_behind(tree.boxes, entry, normals, limits, m):
+                    if e2 <= reach2 and _box_behind(
+                        tree.boxes, entry, normals, limits, bumps, _less(e2, far), 0, m
+                    ):
                         continue
                 else:
                     entry = -1 - (first + c)
-                    if _triangle_behind(tree.corners, first + c, normals, limits, m):
+                    if _triangle_behind(
+                        tree.corners, first + c, normals, limits, bumps, less, 0, m
+                    ):
                         continue
                     _px, _py, _pz, _f, e2 = triangle_at(tree.corners, first + c, x, y, z)
                 # A box's bound may round to just above its parent's triangles: never go back.
                 if e2 <= reach2:
-                    _push(keys, items, size, max(e2, d2), entry)
+                    _push(keys, items, size, max(e2, d2), entry * SEEN + m)
                     size += 1
             continue
 
         t = -1 - item
-        if _triangle_behind(tree.corners, t, normals, limits, m):
+        if _triangle_behind(tree.corners, t, normals, limits, bumps, less, seen, m):
             continue
-        corners_left, swapped = _remainder(tree.corners, t, normals, limits, m, polygon, spare)
+        corners_left, swapped = _remainder(
+            tree.corners, t, normals, limits, bumps, less, m, polygon, spare
+        )
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
@@ -313,7 +319,8 @@ def cover(  # type: ignore[no-untyped-def]
         if rest2 > reach2:
             continue
         if m == budget:
-            return m, max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+            break
         rule, nx, ny, nz, base, px, py, pz = _separate(
             tree,
             edges,
@@ -333,7 +340,8 @@ def cover(  # type: ignore[no-untyped-def]
         room = nx * x + ny * y + nz * z
         if not room - base > 4.0 * rounding:
             # x is on the triangle within rounding: no plane separates them, so no step is safe.
-            return m, 0.0
+            valid = 0.0
+            break
         space = room - base - tip_radius
         if space > standoff:
             ease = EASE * (m + 1) * (space - standoff)
@@ -345,11 +353,19 @@ def cover(  # type: ignore[no-untyped-def]
         normals[m, 0], normals[m, 1], normals[m, 2] = nx, ny, nz
         offsets[m] = offset
         limits[m] = max(limit, base + rounding)
+        bumps[m] = min(BUMP * min(max(space, 0.0), standoff), limits[m] - base - rounding)
         points[m, 0], points[m, 1], points[m, 2] = px, py, pz
-        rows[m] = t
+        triangles[m] = tree.order[t]
         rules[m] = rule
         m += 1
-    return m, radius
+    return (
+        normals[:m].copy(),
+        offsets[:m].copy(),
+        points[:m].copy(),
+        triangles[:m].copy(),
+        rules[:m].copy(),
+        valid,
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from vf.conditions import every_plane, paper_planes
-from vf.cover import YIELD, certified_planes
+from vf.cover import YIELD, cover
 from vf.planes import FloatArray, Planes, Rule, checked_length
 from vf.surface import Surface
 
@@ -77,7 +77,7 @@ class MeshFixture:
         if self.rule == "certified":
             if inside:
                 return self._way_out(x, radius, standoff + tip_radius)
-            planes = certified_planes(self.surface, x, radius, standoff, tip_radius)
+            planes = cover(self.surface, x, radius, standoff, tip_radius)
             if planes.radius == 0.0 and self.surface.closed:
                 return self._lifted(planes, x, radius, standoff, tip_radius)
             return planes
@@ -120,7 +120,7 @@ class MeshFixture:
                 lifted = x + side * LIFT * normal / max(size, 1e-12)
                 if self.surface.nearest(lifted)[0] < 0.1 * LIFT or self.surface.inside(lifted):
                     continue
-                planes = certified_planes(self.surface, lifted, radius, standoff, tip_radius)
+                planes = cover(self.surface, lifted, radius, standoff, tip_radius)
                 offsets = np.minimum(planes.offsets, planes.normals @ x)
                 reach = max(planes.radius - LIFT, 0.0)
                 return replace(planes, offsets=offsets, radius=reach)

@@ -83,7 +83,6 @@ class ConstrainedLeastSquares:
         self._workspaces: dict[int, _Workspace] = {}
         self._factor = np.empty((n, n))
         self._best = np.empty(n)
-        self._dq = np.empty(n)
         self._x = np.empty(n)
         self._endless = np.full(n, np.inf)
         self._grow(capacity)
@@ -124,23 +123,15 @@ class ConstrainedLeastSquares:
         m = len(b)
         if m + 2 * self.n > len(self._bounds):
             self._grow(2 * (m + 2 * self.n))
-        count = _reduce(
+        dq = np.zeros(self.n)
+        multipliers = np.zeros(m)
+        solver, count = _attempt(
             J, d, damping, G, b, lower, upper, self._endless if pace is None else pace,
             self._factor, self._best, self._rows, self._bounds, self._scales, self._origin,
-            self._dq,
+            self._x, self._y, dq, multipliers,
         )  # fmt: skip
-        multipliers = np.zeros(m)
         if count == 0:
-            return Solution(self._dq.copy(), multipliers, Solver.FREE, 0)
-        if count < 0:
-            return Solution(np.zeros(self.n), multipliers, Solver.INFEASIBLE, 0)
-        _worst(self._best, self._rows, self._bounds, count, self._y)
-        if _settle(self._best, self._rows, self._bounds, count, 0, self._x, self._y):
-            _recover(
-                self._x, self._y, count, self._factor, self._scales, self._origin,
-                lower, upper, self._dq, multipliers,
-            )  # fmt: skip
-            return Solution(self._dq.copy(), multipliers, Solver.PROJECTED, 0)
+            return Solution(dq, multipliers, _SOLVERS[solver], 0)
         size = 8
         while size < count:
             size *= 2
@@ -149,16 +140,16 @@ class ConstrainedLeastSquares:
             workspace = self._workspaces[size] = _Workspace(self.n, size)
         solver, iterations = workspace.solve(self._rows, self._bounds, count, self._best)
         if solver is Solver.INFEASIBLE:
-            return Solution(np.zeros(self.n), multipliers, solver, iterations)
+            return Solution(dq, multipliers, solver, iterations)
         # OSQP's answer is good to its tolerance; the active set it found gives the exact one.
         x, y = workspace.x.copy(), workspace.y.copy()
         if _settle(self._best, self._rows, self._bounds, count, 4 * self.n, x, y):
             solver = Solver.SOLVED
         _recover(
             x, y, count, self._factor, self._scales, self._origin,
-            lower, upper, self._dq, multipliers,
+            lower, upper, dq, multipliers,
         )  # fmt: skip
-        return Solution(self._dq.copy(), multipliers, solver, iterations)
+        return Solution(dq, multipliers, solver, iterations)
 
 
 class _Workspace:
@@ -217,6 +208,7 @@ class _Workspace:
         return Solver.NOT_CONVERGED, iterations
 
 
+_SOLVERS = tuple(Solver)  # by value: looking one up this way costs a tenth of calling the class
 _INFEASIBLE = (
     osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE,
     osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE,
@@ -447,6 +439,28 @@ def _settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untype
         active[k] = row
         k += 1
     return False
+
+
+@njit(cache=True, nogil=True)
+def _attempt(  # type: ignore[no-untyped-def]
+    J, d, damping, G, b, lower, upper, pace,
+    factor, best, rows, bounds, scales, origin, x, y, dq, multipliers,
+):  # fmt: skip
+    """All that can be had without OSQP, in one call from Python: solver and 0, or rows for OSQP."""
+    count = _reduce(
+        J, d, damping, G, b, lower, upper, pace, factor, best, rows, bounds, scales, origin, dq
+    )
+    if count == 0:
+        return 0, 0
+    if count < 0:
+        dq[:] = 0.0
+        return 3, 0
+    _worst(best, rows, bounds, count, y)
+    if _settle(best, rows, bounds, count, 0, x, y):
+        _recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
+        return 5, 0
+    dq[:] = 0.0
+    return 1, count
 
 
 @njit(cache=True, nogil=True)

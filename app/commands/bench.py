@@ -48,7 +48,7 @@ def _runtime(options: Runtime) -> int:
     from app.bench import report, runtime
     from app.bench.machine import write
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
     result = _shown(console, lambda say, advance: runtime.run(options, say, advance))
     result["options"] = runtime.options_of(options)
     report.runtime(result, console)
@@ -67,7 +67,7 @@ def _peers(options: Peers) -> int:
     from app.bench import peers, report
     from app.bench.machine import write
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
     result = _shown(console, lambda say, advance: peers.run(options, say, advance))
     report.peers(result, console)
     console.print(f"written: {write(options.out, 'peers', result)}")
@@ -80,7 +80,7 @@ def _loop(options: Loop) -> int:
     from app.bench import loop, report
     from app.bench.machine import write
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
     result = _shown(console, lambda say, advance: loop.run(options, say, advance))
     report.loop(result, console)
     console.print(f"written: {write(options.out, 'loop', result)}")
