@@ -124,11 +124,11 @@ def _pop(keys, items, size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _less(d2, far):  # type: ignore[no-untyped-def]
-    """Share of a bump that does not count at a squared distance: 1 in contact, 0 from `far` on."""
+def _less(d2, rim, far):  # type: ignore[no-untyped-def]
+    """Share of a bump that does not count at a squared distance: 1 up to `rim`, 0 from `far` on."""
     if d2 >= far * far:
         return 0.0
-    return 1.0 - np.sqrt(d2) / far
+    return min((far - np.sqrt(d2)) / (far - rim), 1.0)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -275,7 +275,7 @@ def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # t
         size -= 1
         seen = item % SEEN
         item = item // SEEN
-        less = _less(d2, far)
+        less = _less(d2, tip_radius, far)
         if item >= 0:
             if _box_behind(tree.boxes, item, normals, limits, bumps, less, seen, m):
                 continue
@@ -290,7 +290,7 @@ def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # t
                     entry = child + c
                     e2 = box_distance2(tree.boxes, entry, x, y, z)
                     if e2 <= reach2 and _box_behind(
-                        tree.boxes, entry, normals, limits, bumps, _less(e2, far), 0, m
+                        tree.boxes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
                     ):
                         continue
                 else:
