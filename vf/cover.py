@@ -128,7 +128,9 @@ def _less(d2, rim, far):  # type: ignore[no-untyped-def]
     """Share of a bump that does not count at a squared distance: 1 up to `rim`, 0 from `far` on."""
     if d2 >= far * far:
         return 0.0
-    return min((far - np.sqrt(d2)) / (far - rim), 1.0)
+    if d2 <= rim * rim:
+        return 1.0
+    return (far - np.sqrt(d2)) / (far - rim)
 
 
 @njit(cache=True, nogil=True, inline="always")
