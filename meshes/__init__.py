@@ -5,6 +5,7 @@ Everything that comes out of this package is in metres.
 
 from meshes.catalogue import Entry, catalogue, names
 from meshes.errors import MeshError, UnitGuess
+from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, UNITS, arrays, load
 from meshes.place import Display, display, place, placement
 from meshes.skull import planned_cut
@@ -14,11 +15,14 @@ __all__ = [
     "UNITS",
     "Display",
     "Entry",
+    "Finding",
+    "Health",
     "MeshError",
     "UnitGuess",
     "arrays",
     "catalogue",
     "display",
+    "health",
     "load",
     "names",
     "place",

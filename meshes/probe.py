@@ -1,0 +1,219 @@
+"""Measuring into a mesh through its PD-tree: faces that cut each other, thickness of walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vf.pdtree import STACK, Tree, within
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# A wall's far side faces the other way within 30°: the flanks of a wedge are no wall.
+_OPPOSITE = -0.866
+# Solid kernels place cut points to about a 1e-12th of the size: what is shallower only touches.
+_TOUCH = 1e-11
+
+
+def intersections(vertices: FloatArray, corners: IntArray, tree: Tree, rows: IntArray) -> IntArray:
+    """Pairs ``(k, 2)`` of faces, the first one from ``rows``, that cut through each other.
+
+    An edge of one passes through the inside of the other, by more than rounding (a 1e-11th of the
+    size). Touching does not count, nor do overlaps in one plane, nor what faces do along a corner
+    or edge they share.
+
+    Args:
+        corners: ``(m, 3)`` vertices by place: what is at one place has one number.
+        tree: over the same faces, in the same order.
+    """
+    touch = _TOUCH * float(np.abs(vertices).max())
+    room = 1024
+    while True:
+        pairs = np.empty((room, 2), dtype=np.int64)
+        count = _intersections(vertices, corners, tree, rows, touch, pairs)
+        if count <= room:
+            return pairs[:count].copy()
+        room = count
+
+
+@njit(cache=True, nogil=True)
+def _intersections(vertices, corners, tree, rows, touch, pairs):  # type: ignore[no-untyped-def]
+    room = 256
+    triangles = np.empty(room, dtype=np.int64)
+    points = np.empty((room, 3))
+    features = np.empty(room, dtype=np.int8)
+    distances = np.empty(room)
+    found = 0
+    for f in rows:
+        a, b, c = vertices[corners[f, 0]], vertices[corners[f, 1]], vertices[corners[f, 2]]
+        x, y, z = (a + b + c) / 3.0
+        reach = 0.0
+        for k in range(3):
+            p = vertices[corners[f, k]]
+            reach = max(reach, (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2)
+        reach = np.sqrt(reach) * (1.0 + 1e-9)
+        near = within(tree, x, y, z, reach, triangles, points, features, distances)
+        if near > room:
+            room = near
+            triangles = np.empty(room, dtype=np.int64)
+            points = np.empty((room, 3))
+            features = np.empty(room, dtype=np.int8)
+            distances = np.empty(room)
+            near = within(tree, x, y, z, reach, triangles, points, features, distances)
+        for t in range(near):
+            g = triangles[t]
+            if g == f:
+                continue
+            if _pierces(vertices, corners, f, g, touch) or _pierces(vertices, corners, g, f, touch):
+                if found < pairs.shape[0]:
+                    pairs[found, 0] = f
+                    pairs[found, 1] = g
+                found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _pierces(vertices, corners, f, g, touch):  # type: ignore[no-untyped-def]
+    """Whether an edge of f, sharing no corner with g, passes through the inside of g."""
+    a, b, c = vertices[corners[g, 0]], vertices[corners[g, 1]], vertices[corners[g, 2]]
+    for k in range(3):
+        i, j = corners[f, k], corners[f, (k + 1) % 3]
+        shared = False
+        for n in range(3):
+            shared |= corners[g, n] == i or corners[g, n] == j
+        if shared:
+            continue
+        p, q = vertices[i], vertices[j]
+        # Volumes of tetrahedra: a point off by `touch` changes them by that times an area.
+        span = max(_apart2(p, q), max(_apart2(a, b), max(_apart2(b, c), _apart2(c, a))))
+        hair = touch * span
+        above, below = _side(a, b, c, p), _side(a, b, c, q)
+        if not ((above > hair and below < -hair) or (above < -hair and below > hair)):
+            continue
+        u, v, w = _side(p, q, a, b), _side(p, q, b, c), _side(p, q, c, a)
+        if (u > hair and v > hair and w > hair) or (u < -hair and v < -hair and w < -hair):
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _apart2(p, q):  # type: ignore[no-untyped-def]
+    return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _side(a, b, c, p):  # type: ignore[no-untyped-def]
+    """Six times the signed volume of a tetrahedron."""
+    ux, uy, uz = a[0] - p[0], a[1] - p[1], a[2] - p[2]
+    vx, vy, vz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    wx, wy, wz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
+    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
+
+
+def walls(
+    vertices: FloatArray, corners: IntArray, normals: FloatArray, tree: Tree, rows: IntArray
+) -> FloatArray:
+    """Thickness [m] of the wall below each face of ``rows``, inf where there is none.
+
+    From the face's middle inwards (against its normal) to the first face that shares no corner
+    with it. If that one looks the other way, within 30° of opposite, the two make a wall.
+
+    Args:
+        corners, tree: as for `intersections`.
+        normals: ``(m, 3)`` unit, outwards; zero for faces that are no side of a wall.
+    """
+    thickness = np.full(len(rows), np.inf)
+    _walls(vertices, corners, normals, tree, rows, thickness)
+    return thickness
+
+
+@njit(cache=True, nogil=True)
+def _walls(vertices, corners, normals, tree, rows, thickness):  # type: ignore[no-untyped-def]
+    for r in range(rows.shape[0]):
+        f = rows[r]
+        n = normals[f]
+        if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
+            continue
+        a, b, c = vertices[corners[f, 0]], vertices[corners[f, 1]], vertices[corners[f, 2]]
+        distance, g = _first_hit(tree, corners, (a + b + c) / 3.0, -n, f)
+        if g >= 0:
+            m = normals[g]
+            if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < _OPPOSITE:
+                thickness[r] = distance
+
+
+@njit(cache=True, nogil=True)
+def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
+    """Distance along the unit ray p + t d to the first face apart from ``own``, and that face."""
+    stack = np.empty(STACK, dtype=np.int32)
+    stack[0] = 0
+    depth = 1
+    best, face = np.inf, np.int64(-1)
+    while depth > 0:
+        depth -= 1
+        node = stack[depth]
+        if not _meets(tree.boxes[node], p, d, best):
+            continue
+        child = tree.links[node, 0]
+        if child >= 0:
+            stack[depth] = child + 1
+            stack[depth + 1] = child
+            depth += 2
+            continue
+        first = tree.links[node, 1]
+        for t in range(first, first + tree.links[node, 2]):
+            hit = _ray(tree.corners[t], p, d)
+            if hit < best and not _touching(corners, own, tree.order[t]):
+                best, face = hit, tree.order[t]
+    return best, face
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _touching(corners, f, g):  # type: ignore[no-untyped-def]
+    for i in range(3):
+        for j in range(3):
+            if corners[f, i] == corners[g, j]:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _meets(box, p, d, best):  # type: ignore[no-untyped-def]
+    """Whether the ray meets the turned box, a hair widened, nearer than ``best``."""
+    enter, leave = 0.0, best
+    dx, dy, dz = p[0] - box[0], p[1] - box[1], p[2] - box[2]
+    for k in range(3):
+        rx, ry, rz = box[6 + 3 * k], box[7 + 3 * k], box[8 + 3 * k]
+        half = box[3 + k] * (1.0 + 1e-9) + 1e-15
+        start = rx * dx + ry * dy + rz * dz
+        pace = rx * d[0] + ry * d[1] + rz * d[2]
+        if abs(pace) < 1e-300:
+            if abs(start) > half:
+                return False
+            continue
+        t0, t1 = (-half - start) / pace, (half - start) / pace
+        enter, leave = max(enter, min(t0, t1)), min(leave, max(t0, t1))
+    return enter <= leave
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _ray(c, p, d):  # type: ignore[no-untyped-def]
+    """Distance to a triangle (9,) along the ray, inf if missed (Möller and Trumbore, 1997)."""
+    ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+    vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+    hx, hy, hz = d[1] * vz - d[2] * vy, d[2] * vx - d[0] * vz, d[0] * vy - d[1] * vx
+    det = ux * hx + uy * hy + uz * hz
+    if det == 0.0:
+        return np.inf
+    sx, sy, sz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
+    u = (sx * hx + sy * hy + sz * hz) / det
+    if u < 0.0 or u > 1.0:
+        return np.inf
+    qx, qy, qz = sy * uz - sz * uy, sz * ux - sx * uz, sx * uy - sy * ux
+    v = (d[0] * qx + d[1] * qy + d[2] * qz) / det
+    if v < 0.0 or u + v > 1.0:
+        return np.inf
+    t = (vx * qx + vy * qy + vz * qz) / det
+    return t if t > 0.0 else np.inf
