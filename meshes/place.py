@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 from typing import NamedTuple, Protocol
 
-import fast_simplification
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.errors import MeshError
+from meshes.thin import thin
 
 
 class Pose(Protocol):
@@ -25,10 +24,6 @@ class Display(NamedTuple):
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     decimated: bool
-
-
-# The decimation library works in one global mesh.
-_DECIMATOR = threading.Lock()
 
 
 def placement(
@@ -75,15 +70,8 @@ def display(
         raise ValueError(f"limit must be at least 4 triangles, not {limit}")
     if len(faces) <= limit:
         return Display(vertices, faces, False)
-    with _DECIMATOR:
-        points, triangles = fast_simplification.simplify(
-            vertices, faces.astype(np.int32), target_count=limit
-        )
-    if not 0 < len(triangles) <= limit:
+    thinned = thin(vertices, faces, limit)
+    if thinned is None or not 0 < len(thinned[1]) <= limit:
         keep = np.linspace(0, len(faces) - 1, limit).astype(np.int64)
         return Display(vertices, faces[keep], True)
-    return Display(
-        np.ascontiguousarray(points, dtype=np.float64),
-        np.ascontiguousarray(triangles, dtype=np.int64),
-        True,
-    )
+    return Display(*thinned, True)
