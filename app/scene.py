@@ -87,7 +87,10 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
     say(f"building the tree of {len(faces):,} triangles")
     surface = vf.Surface.from_arrays(vertices, faces)
     if not surface.closed:
-        notes.append("The mesh is open: it has no inside, so it is guarded from both sides.")
+        notes.append(
+            "The mesh is not closed or not consistently wound: "
+            "it has no inside, so it is guarded from both sides."
+        )
 
     say("preparing the picture")
     shown, faces_shown, decimated = meshes.display(vertices, faces)

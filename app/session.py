@@ -94,6 +94,11 @@ class Session:
         assert telemetry is not None
         return telemetry
 
+    @property
+    def clutched(self) -> bool:
+        """Whether the clutch is pressed."""
+        return self._clutched
+
     # What the operator does
 
     def drive(self, target: pin.SE3, held: bool = False) -> None:
@@ -118,10 +123,17 @@ class Session:
             self._command(proxy, held, autopilot=False)
 
     def touch(self) -> None:
-        """Say that the drag is still alive though the handle rests."""
-        with self._lock:
+        """Say that the drag is still alive though the handle rests.
+
+        Never waits: while a setter is at work (some milliseconds) this does nothing.
+        """
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
             if self._orders.command.held:
                 self._command(self._orders.command.target, held=True)
+        finally:
+            self._lock.release()
 
     def recall(self) -> None:
         """Put handle and proxy back onto the tool; ends the autopilot."""

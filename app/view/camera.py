@@ -29,8 +29,14 @@ class View:
     look_at: FloatArray
 
 
+def site_view(scene: Scene, p_tip: FloatArray) -> View:
+    """Wrist, tip, motion sphere and what lies under them: the first sight; p_tip (3,) [m]."""
+    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
+    return _framing(p_tip - np.array([0.0, 0.0, 0.3 * half_height]), half_height)
+
+
 def anatomy_view(scene: Scene) -> View:
-    """The mesh with the tool above it: the first sight."""
+    """The mesh with the tool above it."""
     low, high = scene.vertices_shown.min(axis=0), scene.vertices_shown.max(axis=0)
     p_tip = scene.T_base_start.translation
     centre = 0.5 * (low + high)
@@ -48,16 +54,17 @@ def arm_view(scene: Scene, q: FloatArray) -> View:
         half = 0.5 * float(np.linalg.norm(np.ptp(body.vertices, axis=0))) if reach else 0.0
         corners += [row[4:] + middle - 0.7 * half, row[4:] + middle + 0.7 * half]
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    return _framing(0.5 * (low + high), 0.55 * float(np.linalg.norm(high - low)))
+    return _framing(0.5 * (low + high), 0.46 * float(np.linalg.norm(high - low)))
 
 
 def tool_view(step: vf.Step) -> View:
     """The tip and its motion sphere, seen from above the surface it is at."""
     p_tip = np.array(step.tip.translation)
-    view = _framing(p_tip, 1.8 * max(step.radius, 5e-4))
+    view = _framing(p_tip, 1.6 * max(step.radius, 5e-4))
     if len(step.planes) == 0:
         return view
-    normal = step.planes.normals[np.argmin(step.planes.slack(p_tip))]
+    foremost = np.lexsort((step.planes.slack(p_tip), -step.multipliers))[0]
+    normal = step.planes.normals[foremost]
     along = DIRECTION - (DIRECTION @ normal) * normal
     if np.linalg.norm(along) < 1e-3:
         return view

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 import vf
 from app.view import palette
+from app.view.camera import DIRECTION
 from app.view.units import to_buffer, to_view, turn_z_to
 
 FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
 SLOTS = 128  # planes drawn at most; rule "all" can make a thousand
+CLEAR = 12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
 LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
@@ -83,18 +85,22 @@ class FixtureDrawing:
         normals = planes.normals[chosen]
         centres, radii = discs(normals, planes.offsets[chosen], p_tip, step.radius)
         leaning = step.multipliers[chosen] > LEANING
+        rank = np.argsort(np.argsort(np.abs(planes.slack(p_tip)[chosen]), kind="stable"))
+        near = (rank < CLEAR) | leaning
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
+        # At the centre of its disc, where the tool is, an arrow would be hidden by the tool.
+        feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
         colors = palette.linear(_padded(np.array(looks)).astype(np.uint8))
         scales = to_view(radii)
-        for batch, scale in (
-            (self._calm, np.where(leaning, 0.0, scales)),
-            (self._leaning, np.where(leaning, scales, 0.0)),
-            (self._rims, scales),
-            (self._normals, np.full_like(scales, to_view(step.radius))),
+        for batch, place, scale in (
+            (self._calm, positions, np.where(near & ~leaning, scales, 0.0)),
+            (self._leaning, positions, np.where(leaning, scales, 0.0)),
+            (self._rims, positions, scales),
+            (self._normals, feet, np.where(near, to_view(step.radius), 0.0)),
         ):
             batch.batched_wxyzs = wxyzs
-            batch.batched_positions = positions
+            batch.batched_positions = place
             batch.batched_scales = _padded(scale)
             batch.batched_colors = colors
 
@@ -127,6 +133,13 @@ def discs(
     height = offsets - normals @ centre
     centres = centre + height[:, None] * normals
     return centres, np.sqrt(np.maximum(radius**2 - height**2, 0.0))
+
+
+def _towards_viewer(normals: FloatArray) -> FloatArray:
+    """Unit vectors (m, 3) along the planes, towards the side the page looks from at first."""
+    along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(along / np.maximum(length, 1e-6))
 
 
 def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:

@@ -72,6 +72,9 @@ class Page:
         self._readouts.panel.dock_left()
         self._readouts.panel.set_width(262)
 
+        self._newest: Telemetry | None = None
+        self._newest_since = time.monotonic()
+        self._count = 0  # of read-outs
         self._before: Telemetry | None = None  # at the last read-out
         self._tip_before: NDArray[np.float64] | None = None
         self._frame()  # the first client finds everything in place
@@ -165,7 +168,7 @@ class Page:
         scene = self._session.scene
         self._anatomy.set_scene(scene)
         self._arm.set_scene(scene)
-        view = camera.anatomy_view(scene)
+        view = camera.site_view(scene, scene.T_base_start.translation)
         camera.compose_first_sight(self._server, view)
         if self._scene_version >= 0:
             for client in self._server.get_clients().values():
@@ -186,22 +189,30 @@ class Page:
                 if elapsed > 0.0 and before.scene == telemetry.scene:
                     speed = float(np.linalg.norm(p_tip - self._tip_before)) / elapsed
             self._before, self._tip_before = telemetry, p_tip
-        extras = readouts.Extras(in_sphere, speed, joints)
+        now = time.monotonic()
+        if telemetry is not self._newest:  # also a paused loop says something each tick
+            self._newest, self._newest_since = telemetry, now
+        self._count += 1
+        extras = readouts.Extras(in_sphere, speed, joints, now - self._newest_since, self._count)
+        options, clutched = session.options, session.clutched
         with self._server.atomic():
-            self._readouts.show(readouts.readouts(telemetry, session.options, extras))
-            clutched = self._panel.clutched
-            self._panel.set_banner(readouts.banner(telemetry, joints, clutched))
+            self._readouts.show(readouts.readouts(telemetry, options, extras))
+            self._panel.set_banner(readouts.banner(telemetry, options, extras, clutched))
             self._panel.sync()
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         """Move one client's camera to a preset."""
         scene, step = self._session.scene, self._session.latest().step
-        if name == "Whole arm":
-            camera.move(client, camera.arm_view(scene, scene.start))
+        if name == "Arm":
+            view = camera.arm_view(scene, scene.start)
+        elif name == "Anatomy":
+            view = camera.anatomy_view(scene)
         elif name == "Tool" and step is not None:
-            camera.move(client, camera.tool_view(step))
+            view = camera.tool_view(step)
         else:
-            camera.move(client, camera.anatomy_view(scene))
+            tip = scene.T_base_start if step is None else step.tip
+            view = camera.site_view(scene, np.array(tip.translation))
+        camera.move(client, view)
 
     def _tell(self, client: viser.ClientHandle | None, text: str) -> None:
         """A notification on one client's page."""
@@ -230,15 +241,15 @@ class Page:
 
         return {
             "Anatomy": (True, self._anatomy.show),
-            "Translucent anatomy": (False, self._anatomy.set_translucent),
+            "See-through": (False, self._anatomy.set_translucent),
             "Arm": (True, self._arm.show),
             "Motion sphere": (True, sphere),
             "Planes": (True, planes),
             "Normals": (True, normals),
-            "Active triangles": (True, triangles),
+            "Triangles": (True, triangles),
             "Force": (True, self._tool.show_force),
             "Tether": (True, self._proxy.show_tether),
-            "Names and scale bar": (True, names),
+            "Labels": (True, names),
         }
 
 

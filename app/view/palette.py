@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
+from vf.qp import Solver
 
 Rgb = tuple[int, int, int]
 
@@ -58,12 +59,21 @@ RULE_HELP: dict[str, str] = {
 }
 
 STATUS_HELP: dict[vf.Status, str] = {
-    vf.Status.SOLVED: "step taken as solved",
-    vf.Status.SHORTENED: "step shortened by the final check",
-    vf.Status.HELD: "tool held",
-    vf.Status.RECOVERING: "led out to the standoff",
-    vf.Status.INSIDE: "tool inside the anatomy",
-    vf.Status.REFUSED: "proxy refused",
+    vf.Status.SOLVED: "step as solved",
+    vf.Status.SHORTENED: "part of it was safe",
+    vf.Status.HELD: "no step was safe",
+    vf.Status.RECOVERING: "out to the standoff",
+    vf.Status.INSIDE: "inside the anatomy",
+    vf.Status.REFUSED: "proxy unusable",
+}
+
+SOLVER_HELP: dict[Solver, str] = {
+    Solver.FREE: "no plane in the way",
+    Solver.PROJECTED: "one plane, direct",
+    Solver.SOLVED: "solved by OSQP",
+    Solver.NOT_CONVERGED: "not converged",
+    Solver.INFEASIBLE: "no step allowed",
+    Solver.IDLE: "not asked",
 }
 
 

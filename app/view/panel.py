@@ -29,7 +29,7 @@ RADII: dict[str, float | None] = {
 CUSTOM = "other"
 
 Look = Callable[[viser.ClientHandle, str], None]
-VIEWS = ("Whole arm", "Anatomy", "Tool")
+VIEWS = ("Arm", "Anatomy", "Site", "Tool")
 
 _TITLE = (
     "<div style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;color:#333'>"
@@ -40,11 +40,7 @@ _NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:#666"
 
 
 class Panel:
-    """The right-hand panel. `sync` brings it in line with what the session really does.
-
-    Attributes:
-        clutched: whether the clutch is pressed; only this panel presses it.
-    """
+    """The right-hand panel. `sync` brings it in line with what the session really does."""
 
     def __init__(
         self,
@@ -63,7 +59,6 @@ class Panel:
         self._building = threading.Lock()
         self._note: str | None = None
         self._autopilot_asked = 0.0  # monotonic time [s]
-        self.clutched = False
         self._gui.add_html(_TITLE)
         self._banner = self._gui.add_html("")
         self._drive_controls()
@@ -92,7 +87,7 @@ class Panel:
         _show(self._gain, options.force_gain)
         if time.monotonic() > self._autopilot_asked + 0.5:  # else the loop may not have seen it
             _show(self._autopilot, telemetry.autopilot)
-        _show(self._clutch, self.clutched)
+        _show(self._clutch, self._session.clutched)
         if self._building.locked():
             return
         scene = self._session.scene
@@ -115,7 +110,7 @@ class Panel:
         self._buttons(
             "Proxy",
             "Recall puts the gizmo back onto the tool; reset also puts the tool to its start.",
-            {"Recall to tool": session.recall, "Reset": self._reset},
+            {"Recall to tool": session.recall, "Reset": session.reset},
         )
         self._autopilot = self._gui.add_checkbox(
             "Autopilot",
@@ -199,7 +194,7 @@ class Panel:
                 hint="Stiffness of the simulated force, which is capped at 4 N.",
             )
         self._bind(self._scale, lambda value: session.set_scale(_number(value)))
-        self._bind(self._clutch, self._take_clutch)
+        self._bind(self._clutch, lambda value: session.clutch(bool(value)))
         self._bind(self._gain, lambda value: session.set_force_gain(_number(value)))
 
     def _view_controls(self, layers: dict[str, tuple[bool, Callable[[bool], None]]]) -> None:
@@ -259,18 +254,9 @@ class Panel:
             if event.client is not None:  # None: we set it ourselves
                 self._hand.submit(order, event.client, event.target.value)
 
-    def _take_clutch(self, value: object) -> None:
-        self.clutched = bool(value)
-        self._session.clutch(self.clutched)
-
     def _take_autopilot(self, value: object) -> None:
         self._autopilot_asked = time.monotonic()
-        if self._session.set_autopilot(bool(value)):
-            self.clutched = False  # so does the session
-
-    def _reset(self) -> None:
-        self._session.reset()
-        self.clutched = False
+        self._session.set_autopilot(bool(value))
 
     def _take_preset(self, value: object) -> None:
         if value in RADII:
@@ -289,7 +275,6 @@ class Panel:
             self._mesh.disabled = self._robot.disabled = True
             self._note = None
             self._session.change(**wanted, progress=self._progress)
-            self.clutched = False
         except Exception as error:
             # Whatever a reader of a user's file may raise, the page and the old scene go on.
             self._tell(client, f"Not changed: {error}")

@@ -46,7 +46,7 @@ class Proxy:
             visible=False,
         )
         self._ball_name = api.add_label(
-            "/proxy/ball_name", "proxy", anchor="top-left", font_screen_scale=0.8, visible=False
+            "/proxy/ball_name", "proxy", anchor="bottom-right", font_screen_scale=0.8, visible=False
         )
         self._tether = api.add_line_segments(
             "/proxy/tether",

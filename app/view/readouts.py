@@ -14,9 +14,23 @@ from app.view import palette
 from app.view.fixture import LEANING
 
 _HEAD = "padding:5px 0 1px;font-weight:600;color:#666;font-size:11px"
-_NAME = "padding:0 10px 0 0;color:#555"
+_NAME = "padding:0 8px 0 0;color:#555;white-space:nowrap"
 _VALUE = "padding:0;text-align:right;white-space:nowrap"
 _UNIT = "padding:0 0 0 5px;color:#888"
+_GLOSS = "color:#999;font-size:10.5px"
+
+SILENCE = 0.7  # a control loop that says nothing new for longer is reported [s]
+# The browser's own watchdog: each read-out replaces these elements, which starts their animations
+# anew. If none comes for three seconds (a dead server, a hanging tab) the numbers fade and the
+# note appears. No script, so it works where a page may not run ours.
+_WATCHDOG = (
+    "<style>@keyframes vf-fade{to{opacity:.3}}@keyframes vf-note{to{opacity:1}}"
+    ".vf-numbers{animation:vf-fade .3s 3s forwards}"
+    ".vf-old{animation:vf-note .3s 3s forwards;opacity:0;pointer-events:none;position:absolute;"
+    "z-index:1;left:.75em;right:.75em;top:38%;padding:6px 9px;border-left:5px solid "
+    f"{palette.css(palette.VERMILION)};background:#fff;color:#222;font-size:12.5px}}</style>"
+    "<div class='vf-old'>Old numbers: nothing came from the sandbox for three seconds.</div>"
+)
 
 
 @dataclass(frozen=True)
@@ -27,11 +41,15 @@ class Extras:
         in_sphere: triangles of the mesh cut by the motion sphere.
         speed: mean speed of the tool tip since the last read-out [m/s].
         joints: names of the arm's joints.
+        silent: for how long the control loop has said nothing new [s].
+        count: of the read-outs so far; makes each one's HTML another.
     """
 
     in_sphere: int
     speed: float
     joints: tuple[str, ...]
+    silent: float = 0.0
+    count: int = 0
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -39,7 +57,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
     stats, step = telemetry.stats, telemetry.step
     rows = [_section("Tool")]
     if step is None:
-        rows.append(_row("waiting for the first tick", "", ""))
+        rows.append(_row("waiting for the first tick", ""))
     else:
         beyond = not np.isfinite(step.distance)
         distance = f"> {step.radius * 1e3:.2f}" if beyond else f"{step.distance * 1e3:.3f}"
@@ -49,34 +67,44 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             _row("proxy to tool", _error(telemetry), "mm"),
             _row("simulated force", f"{np.linalg.norm(step.force):.2f}", "N"),
             _section("Fixture"),
-            _row("rule", options.rule, ""),
+            _row("rule", options.rule),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
-            _row("triangles in sphere", f"{extras.in_sphere:,}", ""),
-            _row("active planes", f"{len(step.planes):,}", ""),
+            _row("triangles in sphere", f"{extras.in_sphere:,}", " "),
+            _row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
-            _row("QP", str(step.solver), ""),
-            _row("outcome", step.status.name, ""),
+            _row("QP", palette.SOLVER_HELP[step.solver]),
+            _row("outcome", step.status.name),
         ]
     rows += [
         _section("Control loop"),
         _row("rate", f"{stats.rate:,.0f}", "Hz"),
         _row("tick, median", f"{stats.tick_median * 1e6:,.0f}", "µs"),
         _row("tick, worst of 1 s", f"{stats.tick_worst * 1e6:,.0f}", "µs"),
-        _row("overruns", f"{stats.overruns:,}", ""),
-        _section("Ticks by outcome"),
+        _row("overruns", f"{stats.overruns:,}", " "),
     ]
-    rows += [_row(s.name, f"{stats.counts.get(s, 0):,}", "") for s in vf.Status]
+    outcomes = [_section("Ticks by outcome")]
+    outcomes += [
+        _row(s.name, f"{stats.counts.get(s, 0):,}", gloss=palette.STATUS_HELP[s]) for s in vf.Status
+    ]
+    mark = f"class='vf-numbers' data-count='{extras.count}'"
     return (
-        "<table style='width:calc(100% - 1.5em);margin:0 .75em .5em;font-size:12px;"
+        f"<div style='position:relative'>{_WATCHDOG}{_table(rows, mark)}{_table(outcomes, mark)}"
+        "</div>"
+    )
+
+
+def _table(rows: list[str], mark: str) -> str:
+    return (
+        f"<table {mark} style='width:calc(100% - 1.5em);margin:0 .75em .5em;font-size:12px;"
         "line-height:1.32;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
         + "".join(rows)
         + "</table>"
     )
 
 
-def banner(telemetry: Telemetry, joints: tuple[str, ...], clutched: bool) -> str:
+def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: bool) -> str:
     """One coloured line on what the operator must know now; a calm one if there is nothing."""
-    text, color = _state(telemetry, joints, clutched)
+    text, color = _state(telemetry, options, extras, clutched)
     return (
         f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
         f"background:#f3f3f3;color:#222;font-size:12.5px;min-height:1.6em'>{html.escape(text)}</div>"
@@ -103,19 +131,27 @@ def legend() -> str:
     return (
         f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
         "<div style='color:#666;margin-top:4px'>Filled triangles gave the discs of the same "
-        "colour; a stronger disc is one the tool leans on.</div></div>"
+        "colour; a stronger disc is one the tool leans on. A mere ring is a plane farther off, "
+        "when there are many.</div></div>"
     )
 
 
-def _state(telemetry: Telemetry, joints: tuple[str, ...], clutched: bool) -> tuple[str, str]:
+def _state(
+    telemetry: Telemetry, options: Options, extras: Extras, clutched: bool
+) -> tuple[str, str]:
+    """The gravest thing first."""
     step = telemetry.step
     orange, red = palette.css(palette.ORANGE), palette.css(palette.VERMILION)
     calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
+    if extras.silent > SILENCE:
+        return f"The control loop has been silent for {extras.silent:.0f} s.", red
+    inside = step is not None and step.status == vf.Status.INSIDE
     if telemetry.paused:
-        return "Paused. Run, or step tick by tick.", orange
+        where = "The tool is inside the anatomy. " if inside else ""
+        return f"Paused. {where}Run, or step tick by tick.", orange
     if telemetry.stale:
         return "Stale: contact to the dragging hand is lost, the tool holds.", red
-    if step is not None and step.status == vf.Status.INSIDE:
+    if inside:
         return "Inside the anatomy: only motion towards the outside passes.", red
     if step is not None and step.status == vf.Status.REFUSED:
         return "Refused: the proxy is not usable, the tool holds.", red
@@ -125,15 +161,17 @@ def _state(telemetry: Telemetry, joints: tuple[str, ...], clutched: bool) -> tup
         return "Ready: drag the gizmo.", calm
     if step is None:
         return "Starting …", calm
+    if step.status == vf.Status.HELD:
+        return f"Held: no safe step this tick (QP: {palette.SOLVER_HELP[step.solver]}).", red
     at_limit = [
         f"{name} ({'upper' if side > 0 else 'lower'})"
-        for name, side in zip(joints, step.limits, strict=False)
+        for name, side in zip(extras.joints, step.limits, strict=False)
         if side != 0
     ]
     if at_limit:
         return f"Joint limit: {', '.join(at_limit)}.", orange
-    if step.status == vf.Status.HELD:
-        return f"Held: no safe step this tick ({step.solver}).", red
+    if options.rule == "off":
+        return "No fixture (rule off): the tool follows the proxy through bone.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > LEANING).any()):
@@ -167,8 +205,12 @@ def _section(title: str) -> str:
     return f"<tr><td colspan=3 style='{_HEAD}'>{html.escape(title)}</td></tr>"
 
 
-def _row(name: str, value: str, unit: str) -> str:
-    return (
-        f"<tr><td style='{_NAME}'>{html.escape(name)}</td>"
+def _row(name: str, value: str, unit: str = "", gloss: str = "") -> str:
+    """A name and a value; numbers have a unit (a blank one: just a count), words have none."""
+    if gloss:
+        gloss = f" <span style='{_GLOSS}'>{html.escape(gloss)}</span>"
+    return f"<tr><td style='{_NAME}'>{html.escape(name)}{gloss}</td>" + (
         f"<td style='{_VALUE}'>{html.escape(value)}</td><td style='{_UNIT}'>{unit}</td></tr>"
+        if unit
+        else f"<td colspan=2 style='{_VALUE}'>{html.escape(value)}</td></tr>"
     )

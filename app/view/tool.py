@@ -7,10 +7,14 @@ import viser
 from numpy.typing import NDArray
 
 from app.view import palette
+from app.view.camera import DIRECTION
 from app.view.units import to_buffer, to_view
 
 FORCE_LENGTH = 0.01  # arrow length for each newton [m]
 LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
+# The force mostly points along the instrument. At the tip the arrow would be inside it, so it is
+# drawn beside it, across the direction of the page's first view [m].
+ASIDE = 0.0065
 
 
 class Tool:
@@ -58,9 +62,11 @@ class Tool:
         drawn = self._show_force and strength > LEAST_FORCE
         if drawn:
             arrow = FORCE_LENGTH * force
+            side = np.cross(force, DIRECTION)
+            foot = p_tip - ASIDE * side / max(float(np.linalg.norm(side)), 1e-9)
             self._arrow.points = to_buffer(np.array([[[0.0, 0.0, 0.0], arrow]]))
-            self._arrow.position = to_view(p_tip)
-            self._label.position = to_view(p_tip + arrow)
+            self._arrow.position = to_view(foot)
+            self._label.position = to_view(foot + arrow)
             self._label.text = f"simulated force {strength:.1f} N"
         self._arrow.visible = drawn
         self._label.visible = drawn
