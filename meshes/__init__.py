@@ -8,16 +8,19 @@ from meshes.errors import MeshError, UnitGuess
 from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, UNITS, arrays, load
 from meshes.place import Display, display, place, placement
+from meshes.repair import Changes, Repaired, repair
 from meshes.skull import planned_cut
 
 __all__ = [
     "FORMATS",
     "UNITS",
+    "Changes",
     "Display",
     "Entry",
     "Finding",
     "Health",
     "MeshError",
+    "Repaired",
     "UnitGuess",
     "arrays",
     "catalogue",
@@ -28,4 +31,5 @@ __all__ = [
     "place",
     "placement",
     "planned_cut",
+    "repair",
 ]
