@@ -14,7 +14,7 @@ import robots
 import vf
 from app.bench.queries import Peer
 from app.bench.reference import least_squares
-from vf.controller import rotation_log
+from vf.problem import rotation_log
 
 FloatArray = NDArray[np.float64]
 

@@ -1,0 +1,211 @@
+"""The least squares problem of a tick from arm, target and planes, and the checks of its answer.
+
+All kernels: what `vf.Controller.step` does between its calls of arm, fixtures and solver.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# A target farther than this from the base is a mistake, not a wish [m].
+FARTHEST = 10.0
+# Rows are tightened by this against the planes that are verified, ten times OSQP's tolerance, so
+# that a tick in contact does not miss by rounding [m].
+HAIR = 1e-6
+# Share of what is missing to the standoff that a tick wins back.
+RECOVERY = 0.5
+SWEEPS = 16
+
+
+@njit(cache=True, nogil=True)
+def usable(p, R):  # type: ignore[no-untyped-def]
+    """Whether p (3,) is near enough and R (3, 3) a rotation: finite, orthonormal, right-handed."""
+    for k in range(3):
+        if not abs(p[k]) < FARTHEST:
+            return False
+    for i in range(3):
+        for j in range(3):
+            dot = R[i, 0] * R[j, 0] + R[i, 1] * R[j, 1] + R[i, 2] * R[j, 2]
+            if not abs(dot - (1.0 if i == j else 0.0)) < 1e-4:
+                return False
+    det = (
+        R[0, 0] * (R[1, 1] * R[2, 2] - R[1, 2] * R[2, 1])
+        - R[0, 1] * (R[1, 0] * R[2, 2] - R[1, 2] * R[2, 0])
+        + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
+    )
+    return det > 0.0
+
+
+@njit(cache=True, nogil=True)
+def rotation_log(R, w):  # type: ignore[no-untyped-def]
+    """Rotation vector w (3,) [rad] of the rotation matrix R (3, 3), up to half a turn."""
+    w[0] = 0.5 * (R[2, 1] - R[1, 2])
+    w[1] = 0.5 * (R[0, 2] - R[2, 0])
+    w[2] = 0.5 * (R[1, 0] - R[0, 1])
+    sine = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    if cosine > -0.99:
+        scale = angle / sine if sine > 1e-12 else 1.0
+        for k in range(3):
+            w[k] *= scale
+        return
+    # Near half a turn the skew part vanishes; (R + Rᵀ)/2 − cos·I = (1 − cos) a aᵀ does not.
+    k = 0
+    for j in range(1, 3):
+        if R[j, j] > R[k, k]:
+            k = j
+    sign = 1.0 if w[k] >= 0.0 else -1.0
+    norm = 0.0
+    for j in range(3):
+        w[j] = 0.5 * (R[j, k] + R[k, j]) - (cosine if j == k else 0.0)
+        norm += w[j] * w[j]
+    scale = sign * angle / np.sqrt(norm)
+    for j in range(3):
+        w[j] *= scale
+
+
+@njit(cache=True, nogil=True)
+def _prepare(  # type: ignore[no-untyped-def]
+    J, x, R, goal, R_goal, radius, length, q, lowest, highest, task, desired, lower, upper
+):
+    """Weighted task Jacobian, clamped desired step, and the joint bounds of this tick."""
+    n = J.shape[1]
+    turn = np.empty((3, 3))
+    w = np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            turn[i, j] = R_goal[i, 0] * R[j, 0] + R_goal[i, 1] * R[j, 1] + R_goal[i, 2] * R[j, 2]
+    rotation_log(turn, w)
+    move = 0.0
+    spin = 0.0
+    for k in range(3):
+        desired[k] = goal[k] - x[k]
+        desired[3 + k] = length * w[k]
+        move += desired[k] * desired[k]
+        spin += desired[3 + k] * desired[3 + k]
+    move = np.sqrt(move)
+    spin = np.sqrt(spin)
+    for k in range(3):
+        if move > radius:
+            desired[k] *= radius / move
+        if spin > radius:
+            desired[3 + k] *= radius / spin
+    for j in range(n):
+        for k in range(3):
+            task[k, j] = J[k, j]
+            task[3 + k, j] = length * J[3 + k, j]
+        # A joint pushed beyond its limit may stay or come back, so that zero is always allowed.
+        lower[j] = min(lowest[j] - q[j], 0.0)
+        upper[j] = max(highest[j] - q[j], 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
+    """Rows n·J Δq ≥ b of the planes; returns the nearest point's distance and the worst deficit.
+
+    A tool below the standoff is asked to come out by a share of what is missing. Walls closer than
+    two standoffs cannot both be obeyed, so the requests are first reconciled in the tip's space:
+    alternating projections give a motion v, and no row asks for more than v does.
+    """
+    m = normals.shape[0]
+    n = J.shape[1]
+    nearest = np.inf
+    deficit = 0.0
+    for i in range(m):
+        d2 = 0.0
+        height = 0.0
+        level = 0.0
+        for k in range(3):
+            d2 += (x[k] - points[i, k]) ** 2
+            height += normals[i, k] * x[k]
+            level += normals[i, k] * points[i, k]
+        nearest = min(nearest, d2)
+        for j in range(n):
+            rows[i, j] = normals[i, 0] * J[0, j] + normals[i, 1] * J[1, j] + normals[i, 2] * J[2, j]
+        if rules[i] == 4:
+            bounds[i] = 0.0
+            continue
+        missing = level + standoff + tip_radius - height
+        deficit = max(deficit, missing)
+        # A plane moved beyond the standoff is obeyed, but being on it is nothing to recover from.
+        missing = max(missing, min(offsets[i] - height, 0.0)) + HAIR
+        bounds[i] = RECOVERY * missing if missing > 0.0 else missing
+    nearest = np.sqrt(nearest)
+    if deficit + HAIR <= 0.0:
+        return nearest, deficit
+    v0 = v1 = v2 = 0.0
+    for _ in range(SWEEPS):
+        moved = False
+        for i in range(m):
+            gap = bounds[i] - (normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2)
+            if gap > 1e-10:
+                v0 += gap * normals[i, 0]
+                v1 += gap * normals[i, 1]
+                v2 += gap * normals[i, 2]
+                moved = True
+        if not moved:
+            break
+    share = 1.0
+    for i in range(m):
+        gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
+        if gain < bounds[i]:
+            if bounds[i] < 0.0:
+                share = min(share, bounds[i] / gain)
+            elif gain < 0.0:
+                share = 0.0
+    for i in range(m):
+        if bounds[i] > 0.0:
+            gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
+            bounds[i] = min(bounds[i], max(share * gain, 0.0))
+    return nearest, deficit
+
+
+@njit(cache=True, nogil=True)
+def assemble(  # type: ignore[no-untyped-def]
+    J, x, R, goal, R_goal, radius, length, q, lowest, highest,
+    normals, offsets, points, rules, standoff, tip_radius,
+    task, desired, lower, upper, rows, bounds,
+):  # fmt: skip
+    """The whole problem of a tick in one call from Python: `_prepare`, then `_rows`."""
+    _prepare(
+        J, x, R, goal, R_goal, radius, length, q, lowest, highest,
+        task, desired, lower, upper,
+    )  # fmt: skip
+    return _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bounds)
+
+
+@njit(cache=True, nogil=True)
+def pace(dq, reach):  # type: ignore[no-untyped-def]
+    """Largest share ≤ 1 of the joint step dq (n,) with every joint within its reach (n,)."""
+    share = 1.0
+    for j in range(dq.shape[0]):
+        if abs(dq[j]) * share > reach[j]:
+            share = reach[j] / abs(dq[j])
+    return share
+
+
+@njit(cache=True, nogil=True)
+def at_limits(q, lower, upper):  # type: ignore[no-untyped-def]
+    """−1 where a joint is at its lower limit, +1 at its upper one, else 0."""
+    limits = np.zeros(q.shape[0], dtype=np.int8)
+    for j in range(q.shape[0]):
+        if q[j] >= upper[j]:
+            limits[j] = 1
+        elif q[j] <= lower[j]:
+            limits[j] = -1
+    return limits
+
+
+@njit(cache=True, nogil=True)
+def obeys(normals, offsets, radius, x, y):  # type: ignore[no-untyped-def]
+    """Whether the tip y is in the ball around x and on the allowed side of every plane."""
+    d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
+    if not d2 <= radius * radius:
+        return False
+    for i in range(normals.shape[0]):
+        slack = normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2] - offsets[i]
+        if not slack >= 0.0:
+            return False
+    return True
