@@ -9,11 +9,13 @@ from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, UNITS, arrays, load
 from meshes.place import Display, display, place, placement
 from meshes.repair import Changes, Repaired, repair
+from meshes.save import WRITABLE, save
 from meshes.skull import planned_cut
 
 __all__ = [
     "FORMATS",
     "UNITS",
+    "WRITABLE",
     "Changes",
     "Display",
     "Entry",
@@ -32,4 +34,5 @@ __all__ = [
     "placement",
     "planned_cut",
     "repair",
+    "save",
 ]

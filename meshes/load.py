@@ -52,15 +52,23 @@ def arrays(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> 
     oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
     diagonal below 0.1 mm or above 10 m.
     """
+    return read(name_or_path, unit=unit)[0]
+
+
+def read(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> tuple[Arrays, str]:
+    """The same as :func:`arrays`, and the unit the file is in: given, guessed or by its standard.
+
+    The catalogue's meshes are in "m".
+    """
     if unit is not None and unit not in UNITS:
         raise MeshError(f"unknown unit {unit!r}: choose one of {', '.join(UNITS)}")
     if isinstance(name_or_path, str) and name_or_path in catalogue():
-        return catalogue()[name_or_path].make()
+        return catalogue()[name_or_path].make(), "m"
     path = Path(name_or_path)
     _check_file(path, str(name_or_path))
     kind = path.suffix[1:].lower()
     try:
-        vertices, faces = _read(path.read_bytes(), kind)
+        vertices, faces = _parsed(path.read_bytes(), kind)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     # Whatever a parser trips over in a damaged file, the file is what is wrong. MemoryError and
@@ -68,8 +76,8 @@ def arrays(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> 
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise MeshError(f"{path}: cannot be read as {kind.upper()} ({reason})") from error
-    vertices = vertices * _metres(path, kind, vertices, unit)
-    return vertices, faces
+    unit = _unit(path, kind, vertices, unit)
+    return (vertices * UNITS[unit], faces), unit
 
 
 def _check_file(path: Path, given: str) -> None:
@@ -100,7 +108,7 @@ def _check_file(path: Path, given: str) -> None:
         )
 
 
-def _read(data: bytes, kind: str) -> Arrays:
+def _parsed(data: bytes, kind: str) -> Arrays:
     """Checked vertices, in the file's unit, and faces of a file's content."""
     bodies = [_checked(*obj.read(data))] if kind == "obj" else _bodies(data, kind)
     if not any(len(faces) for _, faces in bodies):
@@ -191,8 +199,8 @@ def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
     return vertices[used], (np.cumsum(used) - 1)[faces]
 
 
-def _metres(path: Path, kind: str, vertices: NDArray[np.float64], unit: str | None) -> float:
-    """Metres in the file's unit, given or guessed; refuses a mesh of an absurd size."""
+def _unit(path: Path, kind: str, vertices: NDArray[np.float64], unit: str | None) -> str:
+    """The file's unit, given or guessed; refuses a mesh of an absurd size."""
     with np.errstate(over="ignore", invalid="ignore"):
         diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     guessed = unit is None and kind != "glb"
@@ -211,6 +219,6 @@ def _metres(path: Path, kind: str, vertices: NDArray[np.float64], unit: str | No
             f"{path.name} does not say its unit: with a diagonal of {diagonal:.4g} it is taken to"
             f" be in {unit} ({size * 1e3:.4g} mm across); say unit='…' ({', '.join(UNITS)}) if not",
             UnitGuess,
-            stacklevel=3,
+            stacklevel=4,
         )
-    return UNITS[unit]
+    return unit

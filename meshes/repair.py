@@ -97,7 +97,7 @@ def repair(
     lose an edge by it: a flat face can be the stitch that closes a seam). Faces turn to agree with
     the majority of their patch, closed bodies to look outwards; what lies in a body turns with the
     outermost around it, so that a cavity stays one. An open patch has no outside to look to:
-    ``flip`` turns every open one, for those who know. No hole is filled, nothing is cut, nothing is moved.
+    ``flip`` turns every open one, for those who know. No hole is filled, nothing is cut or moved.
 
     Args:
         tolerance: of the weld [m]; a millionth of the diagonal by default.

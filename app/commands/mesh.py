@@ -1,0 +1,231 @@
+"""Look after meshes: list the catalogue, check a file's health, repair it."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from inspect import cleandoc
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from app.settings import OptionError, Radius, parse_as
+
+if TYPE_CHECKING:
+    from meshes import Health
+    from meshes.shapes import Arrays
+
+SOUND, DEFECTS, USAGE_ERROR = 0, 1, 2
+File = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+
+
+@dataclass(frozen=True)
+class List:
+    """Print the catalogue: names, triangles, size, source and licence."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say what is wrong with a mesh, and what it means for the fixtures.
+
+    Exit code 0: sound; 1: it has defects; 2: it could not be read."""
+
+    mesh: File
+    """Path of an STL, OBJ, PLY, OFF or GLB file, or a catalogue name."""
+    unit: str | None = None
+    """Unit of the file: m, mm, cm or in. Guessed from its size if not given."""
+    json: bool = False
+    """Print the report as JSON, with up to 1000 ids of faces, edges or vertices a finding."""
+    examine: int = 50_000
+    """Look at so many faces for self-intersections and thin walls: all, or evenly sampled."""
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Weld, drop what is no face, turn what is wound wrongly; nothing is moved, no hole filled.
+
+    Exit code 0: written; 1: written, but something could not be mended; 2: nothing written."""
+
+    mesh: File
+    """Path of an STL, OBJ, PLY, OFF or GLB file."""
+    out: File
+    """File to write (same formats), in the unit of the file that was read."""
+    unit: str | None = None
+    """Unit of the file: m, mm, cm or in. Guessed from its size if not given."""
+    tolerance: Radius = None
+    """Vertices that near become one; auto is a millionth of the diagonal."""
+    flip: bool = False
+    """Turn open sheets over: they have no outside to be known by."""
+    overwrite: bool = False
+    """Replace a file that exists."""
+
+
+_KINDS: dict[str, type[List] | type[Check] | type[Repair]] = {
+    "list": List,
+    "check": Check,
+    "repair": Repair,
+}
+
+
+def main(arguments: list[str]) -> int:
+    """Run `mesh list`, `mesh check` and so on; returns the exit code."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(f"usage: vf-sandbox mesh {{{','.join(_KINDS)}}} [options]\n")
+        for name, kind in _KINDS.items():
+            print(f"  {name:12} {(kind.__doc__ or '').strip().splitlines()[0]}")
+        return 0 if arguments else USAGE_ERROR
+    name, *words = arguments
+    if name not in _KINDS:
+        return _complain(f"unknown action '{name}': choose from {', '.join(_KINDS)}")
+    try:
+        kind = _KINDS[name]
+        options = parse_as(kind, f"vf-sandbox mesh {name}", words, cleandoc(kind.__doc__ or ""))
+        if isinstance(options, Check):
+            return _check(options)
+        if isinstance(options, Repair):
+            return _repair(options)
+        return _list()
+    except (OptionError, ValueError) as error:
+        return _complain(str(error))
+
+
+def _list() -> int:
+    import numpy as np
+
+    import meshes
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("name", "triangles", "size [mm]", "source", "licence", "about"):
+        table.add_column(title, justify="right" if title in ("triangles", "size [mm]") else "left")
+    with _stages() as say:
+        for entry in meshes.catalogue().values():
+            say(entry.name)
+            vertices, faces = entry.make()
+            size = " × ".join(f"{1e3 * side:.3g}" for side in np.ptp(vertices, axis=0))
+            table.add_row(
+                entry.name, f"{len(faces):,}", size, entry.source, entry.licence, entry.about
+            )
+    _console().print(table)
+    return SOUND
+
+
+def _check(options: Check) -> int:
+    import meshes
+
+    if options.examine < 0:
+        raise OptionError(f"examine must be zero or more, not {options.examine}")
+    with _stages() as say:
+        say(f"reading {options.mesh}")
+        mesh, _unit, notes = _opened(options.mesh, options.unit)
+        report = meshes.health(*mesh, examine=options.examine, progress=say)
+    if options.json:
+        print(json.dumps({"mesh": options.mesh, "notes": notes, **report.as_dict()}, indent=1))
+    else:
+        _print_report(_console(), options.mesh, report)
+    return SOUND if report.sound else DEFECTS
+
+
+def _print_report(console: Console, name: str, report: Health) -> None:
+    def yes(value: bool) -> str:
+        return "yes" if value else "no"
+
+    def number(value: float | None, scale: float, unit: str) -> str:
+        return "–" if value is None else f"{value * scale:.6g} {unit}"
+
+    least, _, median, _, most = (1e3 * length for length in report.edge_percentiles)
+    facts = (
+        ("triangles", f"{report.triangles:,} on {report.vertices:,} vertices"),
+        ("size", " × ".join(f"{1e3 * side:.4g}" for side in report.extents) + " mm"),
+        ("edges", f"{least:.3g} … {median:.3g} (median) … {most:.3g} mm"),
+        ("pieces", f"{report.components:,}, genus {'–' if report.genus is None else report.genus}"),
+        ("watertight", yes(report.watertight)),
+        ("wound alike", yes(report.consistent)),
+        ("area", number(report.area, 1e4, "cm²")),
+        ("volume", number(report.volume, 1e6, "cm³")),
+        ("thinnest wall", number(report.wall, 1e3, "mm") if report.examined else "not looked for"),
+        ("examined", "all faces" if report.exact else f"{report.examined:,} sampled faces"),
+    )
+    console.print(f"[bold]{escape(name)}[/]")
+    for title, text in facts:
+        console.print(f"  {title:14} {text}")
+    for finding in report.findings:
+        mark = "[red]✗[/]" if finding.defect else "[yellow]![/]"
+        first = ", ".join(
+            f"{one[0]}–{one[1]}" if isinstance(one, list) else str(one)
+            for one in finding.ids[:5].tolist()
+        )
+        console.print(f"{mark} {escape(finding.text)}", soft_wrap=True)
+        console.print(f"    {escape(finding.meaning)}", soft_wrap=True)
+        if first:
+            more = ", …" if len(finding.ids) > 5 else ""
+            console.print(f"    [dim]{finding.of} {first}{more}[/]", soft_wrap=True)
+    console.print("[green]sound[/]" if report.sound else "[red]has defects[/]")
+
+
+def _repair(options: Repair) -> int:
+    import meshes
+    from meshes.save import check_writable, save
+
+    check_writable(options.out, options.overwrite)
+    with _stages() as say:
+        say(f"reading {options.mesh}")
+        mesh, unit, _notes = _opened(options.mesh, options.unit)
+        result = meshes.repair(*mesh, tolerance=options.tolerance, flip=options.flip, progress=say)
+        if len(result.faces) == 0:
+            return _complain(f"{options.mesh}: no face has any area, nothing is written")
+        say(f"writing {options.out}")
+        save(options.out, *result.arrays, unit=unit, overwrite=options.overwrite)
+    console = _console()
+    for line in result.changes.lines() or ("nothing to mend",):
+        console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
+    for line in result.changes.left:
+        console.print(f"[yellow]![/] left: {escape(line)}", soft_wrap=True)
+    unit_text = "m" if options.out.lower().endswith(".glb") else unit
+    console.print(
+        f"written: {escape(options.out)}, {len(result.faces):,} triangles, in {unit_text}",
+        soft_wrap=True,
+    )
+    return DEFECTS if result.changes.left else SOUND
+
+
+def _opened(name: str, unit: str | None) -> tuple[Arrays, str, list[str]]:
+    """The mesh, its unit, and the loader's warnings, which are also told on stderr."""
+    from meshes.load import read
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mesh, unit = read(name, unit=unit)
+    notes = [str(warning.message) for warning in caught]
+    for note in notes:
+        print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
+    return mesh, unit, notes
+
+
+def _console() -> Console:
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+@contextmanager
+def _stages() -> Iterator[Callable[[str], None]]:
+    """Shows the stage under way on stderr, if that is a terminal."""
+    console = Console(stderr=True)
+    bar = Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(),
+        console=console, transient=True, disable=not console.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda stage: bar.update(task, description=escape(stage))
+
+
+def _complain(message: str) -> int:
+    print(f"vf-sandbox mesh: error: {message}", file=sys.stderr)
+    return USAGE_ERROR

@@ -1,0 +1,120 @@
+"""Writing a mesh file, as exactly as its format can hold it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
+
+from meshes.errors import MeshError
+from meshes.health import FloatArray, IntArray, checked_mesh
+from meshes.load import UNITS
+
+WRITABLE = ("stl", "obj", "ply", "off", "glb")
+
+
+def save(
+    path: str | os.PathLike[str],
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    unit: str = "mm",
+    overwrite: bool = False,
+) -> None:
+    """Write vertices ``(n, 3)`` [m] and faces ``(m, 3)`` to a file in a unit of `meshes.UNITS`.
+
+    The suffix chooses the format. PLY, OBJ and OFF hold double precision; STL and GLB single, and
+    STL corners instead of vertices. GLB is always in metres, as its standard says. The file
+    appears when it is complete, or not at all.
+
+    Raises:
+        MeshError: unknown format or unit, an existing file unless ``overwrite``, a folder that
+            cannot be written to, or arrays that are no mesh.
+    """
+    file = Path(path)
+    kind = file.suffix[1:].lower()
+    check_writable(file, overwrite)
+    if unit not in UNITS:
+        raise MeshError(f"unknown unit {unit!r}: choose one of {', '.join(UNITS)}")
+    v, f = checked_mesh(vertices, faces)
+    content = _WRITERS[kind](v / (1.0 if kind == "glb" else UNITS[unit]), f)
+    temporary = ""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem[:50]}-")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        # As any new file, not as private as a temporary one.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, file)
+    except OSError as error:
+        raise MeshError(f"{file}: cannot be written ({error.strerror or error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+
+
+def check_writable(path: str | os.PathLike[str], overwrite: bool = False) -> None:
+    """Refuse what `save` would refuse by its name, before the long work.
+
+    Raises:
+        MeshError: unknown format, no such folder, or an existing file unless ``overwrite``.
+    """
+    file = Path(path)
+    if file.suffix[1:].lower() not in WRITABLE:
+        choices = ", ".join(f".{kind}" for kind in WRITABLE)
+        raise MeshError(f"{file}: unknown format {file.suffix!r}; choose one of {choices}")
+    if not file.parent.is_dir():
+        raise MeshError(f"{file}: there is no folder {file.parent}")
+    if file.is_dir() or (file.exists() and not overwrite):
+        raise MeshError(f"{file}: exists already; choose another name, or say to overwrite it")
+
+
+def _stl(v: FloatArray, f: IntArray) -> bytes:
+    corners = v[f]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    rows = np.zeros(
+        len(f), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    )
+    rows["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    rows["corners"] = corners
+    return b"vf-sandbox".ljust(80) + len(f).to_bytes(4, "little") + rows.tobytes()
+
+
+def _ply(v: FloatArray, f: IntArray) -> bytes:
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(v)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(f)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(f), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, f
+    return header.encode() + v.astype("<f8").tobytes() + rows.tobytes()
+
+
+def _obj(v: FloatArray, f: IntArray) -> bytes:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in v.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (f + 1).tolist()]
+    return "\n".join([*lines, ""]).encode()
+
+
+def _off(v: FloatArray, f: IntArray) -> bytes:
+    lines = ["OFF", f"{len(v)} {len(f)} 0"]
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in v.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in f.tolist()]
+    return "\n".join([*lines, ""]).encode()
+
+
+def _glb(v: FloatArray, f: IntArray) -> bytes:
+    content: bytes = trimesh.Trimesh(v, f, process=False).export(file_type="glb")
+    return content
+
+
+_WRITERS = {"stl": _stl, "ply": _ply, "obj": _obj, "off": _off, "glb": _glb}

@@ -1,0 +1,127 @@
+"""`vf-sandbox mesh`: its words, files and exit codes, as a user meets them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import meshes
+from app.__main__ import main
+from meshes.damage import damage
+from meshes.save import save
+
+
+@pytest.fixture
+def hurt(tmp_path: Path) -> Path:
+    """A torus with flipped and repeated faces, in millimetres."""
+    path = tmp_path / "hurt.ply"
+    save(path, *damage("duplicated", damage("flipped", meshes.arrays("torus"))), unit="mm")
+    return path
+
+
+def test_check_tells_defects_with_their_meaning(
+    hurt: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["mesh", "check", str(hurt), "--unit", "mm"]) == 1
+    out, err = capsys.readouterr()
+    assert "307 faces repeat another" in out
+    assert "307 faces are wound against" in out
+    assert "the paper's rule guards the wrong side" in out
+    assert "has defects" in out
+    assert err == ""
+    assert main(["mesh", "check", "torus"]) == 0
+    assert "sound" in capsys.readouterr().out
+
+
+def test_check_as_json_is_json_and_nothing_else(
+    hurt: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["mesh", "check", str(hurt), "--json"]) == 1
+    out, err = capsys.readouterr()
+    report = json.loads(out)
+    assert report["triangles"] == 6144 + 307
+    assert {f["kind"]: f["count"] for f in report["findings"]}["flipped faces"] == 307
+    assert "taken to be in mm" in report["notes"][0]
+    assert "taken to be in mm" in err
+
+
+def test_repair_writes_a_sound_file_in_the_same_unit(
+    hurt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mended.stl"
+    assert main(["mesh", "repair", str(hurt), str(out), "--unit", "mm"]) == 0
+    printed = capsys.readouterr().out
+    assert "dropped 307 repeated faces" in printed
+    assert "turned 307 faces" in printed
+    assert "in mm" in printed
+    back = trimesh.load(out)
+    wanted = trimesh.Trimesh(*meshes.arrays("torus"))
+    assert back.is_volume
+    assert back.volume == pytest.approx(wanted.volume * 1e9, rel=1e-5)
+    assert main(["mesh", "check", str(out), "--unit", "mm"]) == 0
+    before = out.read_bytes()
+    assert main(["mesh", "repair", str(hurt), str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert out.read_bytes() == before
+    assert main(["mesh", "repair", "torus", str(out), "--overwrite"]) == 0
+    assert "nothing to mend" in capsys.readouterr().out
+
+
+def test_repair_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sheet = tmp_path / "sheet.off"
+    save(sheet, *damage("sheet", meshes.arrays("torus")), unit="mm")
+    out = tmp_path / "out.obj"
+    assert main(["mesh", "repair", str(sheet), str(out), "--unit", "mm", "--flip"]) == 1
+    printed = capsys.readouterr().out
+    assert "left: 2 boundary loops" in printed
+    assert "turned 1 open patches" in printed
+    turned = meshes.arrays(out, unit="mm")[1]
+    assert np.array_equal(turned[:, [0, 2, 1]], meshes.arrays(sheet, unit="mm")[1])
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["fly"], "unknown action 'fly': choose from list, check, repair"),
+        (["check", "torsu"], "did you mean 'torus'"),
+        (["check", "torus", "--examine", "-1"], "examine must be zero or more, not -1"),
+        (["check", "missing.stl"], "no such file"),
+        (["repair", "torus", "out.docx"], "unknown format '.docx'; choose one of .stl"),
+        (["repair", "torus", "no/such/folder/out.stl"], "there is no folder"),
+        (["repair", "torus", "out.stl", "--tolerance", "wide"], "'wide' is not a length"),
+        (["repair", "torus", "out.stl", "--tolerance", "-1mm"], "zero or more, not -0.001"),
+        (["repair", "missing.stl", "out.stl"], "no such file"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(
+    words: list[str],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["mesh", *words]) == 2
+    err = capsys.readouterr().err
+    assert reason in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_list_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {name: meshes.catalogue()[name] for name in ("skull-coarse", "cube")}
+    monkeypatch.setattr(meshes, "catalogue", lambda: few)
+    assert main(["mesh", "list"]) == 0
+    out = capsys.readouterr().out
+    assert "9,670" in out
+    assert "106 × 141 × 107" in out
+    assert "Apache-2.0" in out
+    assert main(["mesh", "--help"]) == 0
+    assert "check" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as stop:
+        main(["mesh", "check", "--help"])
+    assert stop.value.code == 0
