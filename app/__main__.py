@@ -56,7 +56,10 @@ def serve(options: Options) -> int:
     try:
         with _Steps(console) as step:
             step("loading libraries")
+            from app.loop import prefer_this_process
             from app.session import Session
+
+            prefer_this_process()
 
             with Session(options, progress=step) as session:
                 step("opening the page")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from app.bench.machine import machine, percentiles, resident
 from app.bench.settings import Loop
 from app.bench.watcher import NoBrowser, Watcher
+from app.loop import prefer_this_process
 from app.session import Refused, Session
 from app.settings import Options
 from app.view.page import Page
@@ -63,6 +64,7 @@ def run(
         ValueError: an unusable mesh or setting.
     """
     about = machine()
+    prefer_this_process()
     with ExitStack() as stack:
         path, unit, name = _mesh(options, stack, say)
         wanted = Options(

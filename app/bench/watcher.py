@@ -116,6 +116,9 @@ class Watcher:
 
 
 def _main(url: str) -> int:
+    if sys.platform.startswith("linux"):
+        # A user's browser is not started by the server and has no share in its priority.
+        os.setpriority(os.PRIO_PROCESS, 0, 0)
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
