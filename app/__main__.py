@@ -26,7 +26,11 @@ INTERRUPTED = 130
 
 ABOUT = """Drag a simulated surgical tool over anatomy; virtual fixtures keep it out.
 
-Starts the control loop and a page for the browser, and prints the page's address."""
+Starts the control loop and a page for the browser, and prints the page's address.
+
+Try:  vf-sandbox --mesh gear --rule paper --radius 0.5mm
+
+Try:  vf-sandbox --mesh scan.stl --unit mm --robot point --tip-radius 1mm"""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -82,7 +82,7 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
     notes += [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
     vertices = meshes.place(vertices, T_base_tip)
 
-    say("preparing the kernels (the first start compiles them: about half a minute)")
+    say("preparing the kernels (the first start compiles them: up to a minute)")
     _warm_up()
     say(f"building the tree of {len(faces):,} triangles")
     surface = vf.Surface.from_arrays(vertices, faces)

@@ -116,7 +116,7 @@ class Options:
     """
 
     mesh: str = "skull"
-    """Catalogue name, or path of an STL, OBJ, PLY, OFF or GLB file."""
+    """Catalogue name (a wrong one lists them all), or path of an STL, OBJ, PLY, OFF or GLB file."""
     unit: str | None = None
     """Unit of a mesh file: m, mm, cm or in. Guessed from its size if not given."""
     robot: str = "psm"

@@ -32,6 +32,7 @@ class View:
 def site_view(scene: Scene, p_tip: FloatArray) -> View:
     """Wrist, tip, motion sphere and what lies under them: the first sight; p_tip (3,) [m]."""
     half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
+    half_height = max(half_height, 2.0 * _girth(scene))
     return _framing(p_tip - np.array([0.0, 0.0, 0.3 * half_height]), half_height)
 
 
@@ -96,6 +97,18 @@ def _framing(centre: FloatArray, half_height: float) -> View:
     """A ball of that radius [m] just fills the picture's height."""
     distance = half_height / np.sin(FIELD_OF_VIEW / 2.0)
     return View(centre + distance * DIRECTION, centre)
+
+
+def _girth(scene: Scene) -> float:
+    """How far the arm reaches sideways around its tip [m]: a thick hand needs a wider view."""
+    p_tip = scene.T_base_start.translation
+    widest = 0.0
+    placements = scene.arm.placements(scene.start)
+    for body, row in zip(scene.arm.bodies, placements, strict=True):
+        away = row[4:] + _rotated(row[:4], body.vertices.astype(np.float64)) - p_tip
+        near = np.linalg.norm(away, axis=1) < 0.06
+        widest = max(widest, float(np.linalg.norm(away[near, :2], axis=1).max(initial=0.0)))
+    return widest
 
 
 def _rotated(wxyz: FloatArray, p: FloatArray) -> FloatArray:
