@@ -1,4 +1,4 @@
-"""Look after meshes: list the catalogue, check a file's health, repair it."""
+"""Look after meshes: list the catalogue, check a file, repair it, make one from a volume."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from app.settings import OptionError, Radius, parse_as
+from app.settings import Length, OptionError, Radius, parse_as
 
 if TYPE_CHECKING:
     from meshes import Health
@@ -68,10 +68,32 @@ class Repair:
     """Replace a file that exists."""
 
 
-_KINDS: dict[str, type[List] | type[Check] | type[Repair]] = {
+@dataclass(frozen=True)
+class FromVolume:
+    """Make a surface of a CT or MR volume: a NIfTI file, or a folder of DICOM slices.
+
+    In the patient's world coordinates: x to the right, y to the front, z up (RAS). Needs the extra
+    'volume'. Exit code 0: written; 2: nothing written."""
+
+    volume: File
+    """NIfTI file (.nii, .nii.gz) or folder with one DICOM series."""
+    out: File
+    """File to write: .stl, .obj, .ply, .off (in mm) or .glb (in m)."""
+    level: float
+    """Value at the surface: in a CT, bone is above some 300 (Hounsfield units)."""
+    smooth: Length = 0.0
+    """Standard deviation of a Gaussian before, such as 0.5mm."""
+    largest: bool = False
+    """Keep only the largest piece."""
+    overwrite: bool = False
+    """Replace a file that exists."""
+
+
+_KINDS: dict[str, type[List] | type[Check] | type[Repair] | type[FromVolume]] = {
     "list": List,
     "check": Check,
     "repair": Repair,
+    "from-volume": FromVolume,
 }
 
 
@@ -92,6 +114,8 @@ def main(arguments: list[str]) -> int:
             return _check(options)
         if isinstance(options, Repair):
             return _repair(options)
+        if isinstance(options, FromVolume):
+            return _from_volume(options)
         return _list()
     except (OptionError, ValueError) as error:
         return _complain(str(error))
@@ -194,6 +218,35 @@ def _repair(options: Repair) -> int:
         soft_wrap=True,
     )
     return DEFECTS if result.changes.left else SOUND
+
+
+def _from_volume(options: FromVolume) -> int:
+    import numpy as np
+
+    from meshes import volume
+    from meshes.save import check_writable, save
+
+    check_writable(options.out, options.overwrite)
+    with _stages() as say:
+        grid = volume.read(options.volume, say)
+        vertices, faces = volume.surface(
+            grid, options.level, smooth=options.smooth, largest=options.largest, progress=say
+        )
+        say(f"writing {options.out}")
+        save(options.out, vertices, faces, unit="mm", overwrite=options.overwrite)
+    spacing = " × ".join(
+        f"{1e3 * s:.3g}" for s in np.linalg.norm(grid.T_world_voxel[:3, :3], axis=0)
+    )
+    size = " × ".join(f"{1e3 * side:.4g}" for side in np.ptp(vertices, axis=0))
+    shape = " × ".join(map(str, grid.values.shape))
+    unit = "m" if options.out.lower().endswith(".glb") else "mm"
+    console = _console()
+    console.print(f"read: {escape(options.volume)}, {shape} voxels of {spacing} mm", soft_wrap=True)
+    console.print(
+        f"written: {escape(options.out)}, {len(faces):,} triangles, {size} mm, in {unit}",
+        soft_wrap=True,
+    )
+    return SOUND
 
 
 def _opened(name: str, unit: str | None) -> tuple[Arrays, str, list[str]]:

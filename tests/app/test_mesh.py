@@ -86,7 +86,7 @@ def test_repair_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["fly"], "unknown action 'fly': choose from list, check, repair"),
+        (["fly"], "unknown action 'fly': choose from list, check, repair, from-volume"),
         (["check", "torsu"], "did you mean 'torus'"),
         (["check", "torus", "--examine", "-1"], "examine must be zero or more, not -1"),
         (["check", "missing.stl"], "no such file"),
