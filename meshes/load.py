@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from meshes import obj
+from meshes import gltf, obj, threemf
 from meshes.catalogue import catalogue, names
 from meshes.errors import MeshError, UnitGuess
 from meshes.shapes import Arrays
@@ -21,7 +21,7 @@ from vf.surface import Surface
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 """Metres in one of each unit."""
 
-FORMATS = ("stl", "obj", "ply", "off", "glb")
+FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf")
 SIZE_LIMIT = 500_000_000  # [byte] of a file: some ten million triangles
 SMALLEST, LARGEST = 1e-4, 10.0  # [m] diagonals that a surgical arm could have to do with
 
@@ -39,14 +39,15 @@ def arrays(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> 
     """Vertices ``(n, 3)`` float64 [m] and faces ``(m, 3)`` int64 of a catalogue mesh or a file.
 
     A string that is a catalogue name means that mesh; for a file of that name write ``./name``.
-    Files: STL, OBJ, PLY, OFF, GLB. Several bodies become one mesh, each where its scene puts it.
-    Polygons become triangles. Nothing is repaired or welded, except that corners at *exactly* the
-    same place are one vertex in STL and GLB, which have no way to say so; vertices that no face
-    uses are dropped.
+    Files: STL, OBJ, PLY, OFF, GLB, glTF, 3MF. Several bodies become one mesh, each where its scene
+    puts it. Polygons become triangles. Nothing is repaired or welded, except that corners at
+    *exactly* the same place are one vertex in STL, GLB and glTF, which have no way to say so;
+    vertices that no face uses are dropped. Of other files only what a glTF needs is opened, and
+    only beside it.
 
-    ``unit`` is "m", "cm", "mm" or "in". ``None``: metres for GLB, as its standard says; otherwise
-    a guess from the size, told by a :class:`meshes.UnitGuess` warning. The catalogue's meshes know
-    their size, so ``unit`` does not touch them.
+    ``unit`` is "m", "cm", "mm" or "in". ``None``: metres for GLB and glTF, as their standard says,
+    and what a 3MF says; otherwise a guess from the size, told by a :class:`meshes.UnitGuess`
+    warning. The catalogue's meshes know their size, so ``unit`` does not touch them.
 
     Raises :class:`meshes.MeshError` with a one-line reason: unknown name or unit, missing, empty,
     oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
@@ -68,7 +69,7 @@ def read(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> tu
     _check_file(path, str(name_or_path))
     kind = path.suffix[1:].lower()
     try:
-        vertices, faces = _parsed(path.read_bytes(), kind)
+        vertices, faces, known = _parsed(path.read_bytes(), kind, path.parent)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     # Whatever a parser trips over in a damaged file, the file is what is wrong. MemoryError and
@@ -76,7 +77,7 @@ def read(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> tu
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise MeshError(f"{path}: cannot be read as {kind.upper()} ({reason})") from error
-    unit = _unit(path, kind, vertices, unit)
+    unit = _unit(path, known, vertices, unit)
     return (vertices * UNITS[unit], faces), unit
 
 
@@ -108,31 +109,45 @@ def _check_file(path: Path, given: str) -> None:
         )
 
 
-def _parsed(data: bytes, kind: str) -> Arrays:
-    """Checked vertices, in the file's unit, and faces of a file's content."""
-    bodies = [_checked(*obj.read(data))] if kind == "obj" else _bodies(data, kind)
+def _parsed(
+    data: bytes, kind: str, folder: Path
+) -> tuple[NDArray[np.float64], NDArray[np.int64], str | None]:
+    """Checked vertices, in the file's unit, and faces of a file's content; its unit if known."""
+    known = "m" if kind in ("glb", "gltf") else None
+    if kind == "obj":
+        bodies = [_checked(*obj.read(data))]
+    elif kind == "3mf":
+        placed, known = threemf.read(data)
+        bodies = [_checked(*body) for body in placed]
+    else:
+        bodies = _bodies(data, kind, folder)
     if not any(len(faces) for _, faces in bodies):
         points = sum(len(vertices) for vertices, _ in bodies)
         raise MeshError(f"no triangles, only {points} points" if points else "no triangles")
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
     vertices = np.vstack([vertices for vertices, _ in bodies])
     faces = np.vstack([f + start for (_, f), start in zip(bodies, starts[:-1], strict=True)])
-    if kind in ("stl", "glb"):
+    if kind in ("stl", "glb", "gltf"):
         vertices, faces = _merged(vertices, faces)
-    return _compact(vertices, faces)
+    return *_compact(vertices, faces), known
 
 
-def _bodies(data: bytes, kind: str) -> list[Arrays]:
+def _bodies(data: bytes, kind: str, folder: Path) -> list[Arrays]:
     """Every body of a file that trimesh reads, in the scene's frame."""
     if kind == "stl":
         _check_stl(data)
+    elif kind in ("glb", "gltf"):
+        gltf.check(data, kind)
     with warnings.catch_warnings():
         # numpy only deprecates half-read number lists: here they are a damaged file.
         warnings.filterwarnings("error", message="string or file could not be read")
-        # A stream and no resolver: a file can refer to no other file.
+        # A stream and no resolver: a file can refer to no other file, but for a glTF's buffers.
         scene = trimesh.load_scene(
-            io.BytesIO(data), file_type=kind, process=False, skip_materials=True, fix_texture=False
-        )
+            io.BytesIO(data), file_type=kind, process=False, skip_materials=True, fix_texture=False,
+            resolver=gltf.Beside(folder, SIZE_LIMIT) if kind == "gltf" else None,
+        )  # fmt: skip
+    if kind == "off":
+        _check_off(data, list(scene.geometry.values()))
     bodies = []
     for node in scene.graph.nodes_geometry:
         T_scene_body, name = scene.graph[node]
@@ -163,6 +178,17 @@ def _check_stl(data: bytes) -> None:
             f"its header promises {count} triangles ({84 + 50 * count} bytes),"
             f" the file has {len(data)} bytes: cut off or not STL"
         )
+
+
+def _check_off(data: bytes, read: list[trimesh.Trimesh]) -> None:
+    """Tell a cut-off OFF as such: its reader is content with what there is."""
+    lines = (line.partition(b"#")[0] for line in data[:10_000].splitlines())
+    words = b" ".join(lines).split()
+    vertices, faces = int(words[1]), int(words[2])
+    # Polygons become several triangles, never fewer than they were.
+    found = sum(len(getattr(body, "faces", ())) for body in read)
+    if found < faces or sum(len(body.vertices) for body in read) != vertices:
+        raise MeshError(f"its header promises {vertices} vertices and {faces} faces: cut off")
 
 
 def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
@@ -199,15 +225,16 @@ def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
     return vertices[used], (np.cumsum(used) - 1)[faces]
 
 
-def _unit(path: Path, kind: str, vertices: NDArray[np.float64], unit: str | None) -> str:
+def _unit(path: Path, known: str | None, vertices: NDArray[np.float64], unit: str | None) -> str:
     """The file's unit, given or guessed; refuses a mesh of an absurd size."""
     with np.errstate(over="ignore", invalid="ignore"):
         diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    guessed = unit is None and kind != "glb"
+    unit = unit or known
+    guessed = unit is None
     if unit is None:
         # Anatomy and phantoms are some centimetres to two metres large: a diagonal of up to five
         # makes sense in metres only, a larger one in millimetres.
-        unit = "m" if not guessed or diagonal <= 5.0 else "mm"
+        unit = "m" if diagonal <= 5.0 else "mm"
     size = diagonal * UNITS[unit]
     if not SMALLEST <= size <= LARGEST:
         raise MeshError(

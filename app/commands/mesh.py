@@ -39,7 +39,7 @@ class Check:
     Exit code 0: sound; 1: it has defects; 2: it could not be read."""
 
     mesh: File
-    """Path of an STL, OBJ, PLY, OFF or GLB file, or a catalogue name."""
+    """Path of an STL, OBJ, PLY, OFF, GLB, glTF or 3MF file, or a catalogue name."""
     unit: str | None = None
     """Unit of the file: m, mm, cm or in. Guessed from its size if not given."""
     json: bool = False
@@ -55,9 +55,9 @@ class Repair:
     Exit code 0: written; 1: written, but something could not be mended; 2: nothing written."""
 
     mesh: File
-    """Path of an STL, OBJ, PLY, OFF or GLB file."""
+    """Path of an STL, OBJ, PLY, OFF, GLB, glTF or 3MF file."""
     out: File
-    """File to write (same formats), in the unit of the file that was read."""
+    """File to write: .stl, .obj, .ply, .off, .glb; in the unit of the file that was read."""
     unit: str | None = None
     """Unit of the file: m, mm, cm or in. Guessed from its size if not given."""
     tolerance: Radius = None
