@@ -90,8 +90,8 @@ def visit(browser: Any, page: Page) -> Callable[[], Visitor]:
 
     def open_tab() -> Visitor:
         known = set(page.server.get_clients())
-        # Half the resolution: a software renderer has a quarter of the pixels to fill.
-        tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.5)
+        # Low resolution: a software renderer has a sixth of the pixels to fill.
+        tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
         visitor = Visitor(tab, -1, page)
         tab.on(
             "console",

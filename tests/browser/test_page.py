@@ -86,12 +86,23 @@ def drag_gizmo(visitor: Visitor, page: Page, axis: int, distance: float) -> None
     head = origin + 0.88 * 95.0 * visitor.pixel(origin) * direction
     mouse = visitor.tab.mouse
     mouse.move(*visitor.to_screen(head))
-    visitor.tab.wait_for_timeout(300)
+    visitor.tab.wait_for_timeout(200)  # the page looks for what is under the mouse once a frame
     mouse.down()
-    for share in np.linspace(0.0, 1.0, 11)[1:]:
+    for share in np.linspace(0.0, 1.0, 6)[1:]:  # each one waits for a frame of a slow renderer
         mouse.move(*visitor.to_screen(head + share * VIEW_SCALE * distance * direction))
-        visitor.tab.wait_for_timeout(40)
     mouse.up()
+    wait_until(lambda: not page.dragging, "the page to let go")
+
+
+def rest(session: Session) -> None:
+    """Wait until the tool does not move any more."""
+    seen: list[np.ndarray] = []
+
+    def still() -> bool:
+        seen.append(tip(session))
+        return len(seen) > 5 and bool(np.ptp(seen[-5:], axis=0).max() < 1e-6)
+
+    wait_until(still, "the tool to rest")
 
 
 def test_page_opens_with_scene_and_panel_and_a_quiet_console(visitor: Visitor) -> None:
@@ -115,15 +126,15 @@ def test_dragging_the_gizmo_into_the_skull_stops_the_tool_at_the_bone(
         wait_until(
             lambda: np.linalg.norm(session.handle.translation - before) > 0.018, "the proxy to move"
         )
-        visitor.tab.wait_for_timeout(1500)
-    proxy, rest = np.array(session.handle.translation), tip(session)
+        rest(session)
+    proxy, end = np.array(session.handle.translation), tip(session)
     visitor.picture("pressed-against-the-skull")
     assert crossed(mesh, np.array([before, proxy])), "the drag must lead into the bone"
-    assert np.linalg.norm(rest - before) > 0.01, "the tool must have followed"
-    assert 5e-6 < distance(mesh, rest) < 2e-4
-    assert np.linalg.norm(proxy - rest) > 1e-3
+    assert np.linalg.norm(end - before) > 0.01, "the tool must have followed"
+    assert 5e-6 < distance(mesh, end) < 2e-4
+    assert np.linalg.norm(proxy - end) > 1e-3
     assert not crossed(mesh, np.array(track.tips[:: max(1, len(track.tips) // 200)]))
-    assert float(visitor.readout("simulated force")) > 0.1
+    wait_until(lambda: float(visitor.readout("simulated force")) > 0.1, "the force")
     assert int(visitor.readout("active planes")) > 0
     assert visitor.tab.get_by_text("The fixture holds the tool back").is_visible()
 
@@ -144,14 +155,15 @@ def test_recall_puts_the_proxy_back_onto_the_tool(
 
 
 def test_choosing_a_rule_changes_the_planes(visitor: Visitor, session: Session, page: Page) -> None:
-    drag_gizmo(visitor, page, axis=2, distance=0.016)
+    session.set_radius(2e-3)  # rule "all" in a larger sphere overwhelms a software renderer
+    drag_gizmo(visitor, page, axis=2, distance=0.02)
+    rest(session)
     wait_until(lambda: len(session.latest().step.planes) > 0, "contact")
     counts = {}
     for rule in ("certified", "all", "paper"):
         visitor.choose("Rule", rule)
         wait_until(lambda rule=rule: session.options.rule == rule, f"rule {rule}")
         wait_until(lambda rule=rule: visitor.readout("rule") == rule, f"read-out {rule}")
-        visitor.tab.wait_for_timeout(400)
         counts[rule] = len(session.latest().step.planes)
         visitor.picture(f"rule-{rule}")
     # Every face in the sphere makes a plane in "all"; both other rules choose.
@@ -166,8 +178,7 @@ def test_choosing_a_mesh_swaps_the_scene_while_the_loop_runs(
     visitor.choose("Mesh", "gear")
     wait_until(lambda: session.scene.mesh_name == "gear", "the gear", 60.0)
     wait_until(lambda: session.latest().tick > ticks + 100, "ticks")
-    visitor.tab.wait_for_timeout(1500)
-    assert drawn_share(visitor.picture("gear")) > 0.05
+    wait_until(lambda: drawn_share(visitor.picture("gear")) > 0.05, "the gear's picture")
     mesh = solid(session)
     assert len(mesh.faces) == len(session.scene.surface.faces)
     assert mesh.is_watertight
@@ -192,7 +203,7 @@ def test_autopilot_runs_until_somebody_takes_the_gizmo(
     wait_until(lambda: np.linalg.norm(tip(session) - start(session)) > 5e-3, "motion")
     visitor.picture("autopilot")
     session.pause()  # the gizmo must hold still to be grabbed
-    visitor.tab.wait_for_timeout(700)
+    visitor.tab.get_by_text("Paused.").wait_for()
     drag_gizmo(visitor, page, axis=0, distance=0.005)
     session.resume()
     wait_until(lambda: not session.latest().autopilot, "the hand to take over")
@@ -211,17 +222,17 @@ def test_a_second_client_sees_the_same(
     visit: Callable[[], Visitor], visitor: Visitor, session: Session, page: Page
 ) -> None:
     session.set_rule("paper")
+    session.set_radius(2e-3)
     drag_gizmo(visitor, page, axis=2, distance=0.02)
-    visitor.tab.wait_for_timeout(800)
+    rest(session)
     second = visit()
     try:
-        visitor.tab.wait_for_timeout(1000)
+        wait_until(lambda: second.readout("rule") == "paper", "the second page's read-outs")
         a, b = visitor.picture("first-client"), second.picture("second-client")
-        assert second.readout("rule") == "paper"
         for name in ("active planes", "distance to surface"):
             wait_until(lambda name=name: visitor.readout(name) == second.readout(name), name)
         height = min(a.shape[0], b.shape[0])
-        assert np.abs(a[:height].astype(int) - b[:height].astype(int)).mean() < 6.0
+        assert np.abs(a[:height].astype(int) - b[:height].astype(int)).mean() < 8.0
         before = session.handle.translation.copy()
         drag_gizmo(second, page, axis=0, distance=0.006)
         wait_until(
@@ -247,3 +258,16 @@ def test_the_page_survives_a_reload(visitor: Visitor, session: Session, page: Pa
     drag_gizmo(visitor, page, axis=0, distance=-0.01)  # the gizmo is where the page shows it
     wait_until(lambda: np.abs(page.gizmo_pose[1] - pose).max() > 0.5, "the gizmo to move")
     assert visitor.complaints == []
+
+
+def test_old_numbers_say_that_they_are_old(
+    visitor: Visitor, page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opacity = "document.querySelector('.vf-old') ? getComputedStyle("
+    opacity += "document.querySelector('.vf-old')).opacity : '-'"
+    assert visitor.tab.evaluate(opacity) == "0"
+    monkeypatch.setattr(page, "_read_out", lambda: None)  # a view thread that hangs
+    wait_until(lambda: visitor.tab.evaluate(opacity) == "1", "the note")
+    visitor.picture("old-numbers")
+    monkeypatch.undo()
+    wait_until(lambda: visitor.tab.evaluate(opacity) == "0", "the note to go")

@@ -17,8 +17,7 @@ from app.view import Page
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
 
 
-# Software rendering; the rest keeps a sandboxed container and its network out of the way.
-def wait_until(condition: Callable[[], object], what: str, timeout: float = 30.0) -> None:
+def wait_until(condition: Callable[[], object], what: str, timeout: float = 60.0) -> None:
     """Poll until the condition holds; fails with `what` when it does not in time [s]."""
     deadline = time.monotonic() + timeout
     while not condition():
