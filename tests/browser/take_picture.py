@@ -28,10 +28,10 @@ def main(path: str) -> None:
             visitor = Visitor(tab, -1, page)
             tab.goto(page.url)
             settle(visitor, set())
-            tab.wait_for_timeout(6000)
+            tab.wait_for_timeout(3000)
             # The notice that there is no graphics card.
             tab.locator(".mantine-Notification-closeButton").first.click(timeout=30_000)
-            tab.get_by_label("Translucent anatomy").click()
+            tab.get_by_label("See-through").click()
             start = session.scene.T_base_start
             for share in np.linspace(0.0, 1.0, 20):
                 session.drive(pin.SE3(start.rotation, start.translation + share * PUSH))
