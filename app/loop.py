@@ -29,6 +29,9 @@ SWITCH_INTERVAL = 2e-5
 # Wake-ups are some 50 µs late, so the last stretch before a deadline is spent asking the clock;
 # other threads still get the interpreter within the switch interval [s].
 SPIN = 1e-4
+# Real-time priorities, where they may be had.
+CONTROL_PRIORITY = 10
+VIEW_PRIORITY = 5
 
 
 class ControlLoop:
@@ -219,9 +222,20 @@ def _ask_for_punctuality() -> None:
     PR_SET_TIMERSLACK = 29
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1000), 0, 0, 0)
+    prefer_this_thread(CONTROL_PRIORITY)
+
+
+def prefer_this_thread(priority: int) -> None:
+    """Schedule the calling thread in real time where the system permits it, else put it first.
+
+    Threads and processes that it starts do not inherit that.
+    """
+    if not sys.platform.startswith("linux"):
+        return
     thread = threading.get_native_id()
     try:
-        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(10))
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(thread, policy, os.sched_param(priority))
     except OSError:
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, thread, -10)

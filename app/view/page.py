@@ -14,6 +14,7 @@ import rich
 import viser
 from numpy.typing import NDArray
 
+from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.messages import Telemetry
 from app.session import Session
 from app.view import camera, readouts
@@ -80,6 +81,9 @@ class Page:
         self._frame()  # the first client finds everything in place
         self._read_out()
         self._stop = threading.Event()
+        # What the browser is told must not wait for the browser's drawing: while one of these two
+        # threads is put aside with the interpreter in its hands, the control thread waits for it.
+        self._server.get_event_loop().call_soon_threadsafe(prefer_this_thread, VIEW_PRIORITY)
         self._thread = threading.Thread(target=self._run, name="view", daemon=True)
         self._thread.start()
 
@@ -120,6 +124,7 @@ class Page:
             self._server.stop()
 
     def _run(self) -> None:
+        prefer_this_thread(VIEW_PRIORITY)
         due = time.monotonic()
         while not self._stop.wait(FRAME):
             try:
@@ -130,6 +135,11 @@ class Page:
                 if time.monotonic() >= due:
                     due = time.monotonic() + READOUT
                     self._read_out()
+            except RuntimeError as error:
+                # viser pulses an asyncio event from our thread while its own may be leaving it. The
+                # message is in its buffer by then and goes out with the next one.
+                if "mutated during iteration" not in str(error):
+                    log.exception("a frame of the page failed")
             except Exception:
                 # One bad frame (a node removed under our hands) must not end the picture.
                 if self._stop.is_set():
