@@ -3,35 +3,17 @@
 from __future__ import annotations
 
 import os
-import shutil
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
+from watching import Visitor, settle
 
+from app.bench import watcher
 from app.session import Session
 from app.settings import Options
 from app.view import Page
 
-# Pytest's importlib mode puts no test folder on the path; these tests share `watching`.
-sys.path.append(str(Path(__file__).parent))
-
-from watching import Visitor, settle
-
-# Software rendering; the rest keeps a sandboxed container and its network out of the way.
-ARGUMENTS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 # A software renderer makes the browser complain about performance; that says nothing about us.
 HARMLESS = (
     "GPU stall",
@@ -41,23 +23,14 @@ HARMLESS = (
 )
 
 
-def find_chromium() -> str | None:
-    """Path of a Chromium or Chrome: VF_CHROMIUM, or the usual names."""
-    names = (os.environ.get("VF_CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
-    return next((path for name in names if name and (path := shutil.which(name))), None)
-
-
 @pytest.fixture(scope="session")
 def chromium() -> str:
-    path = find_chromium()
-    if path is None:
-        reason = (
-            "no Chromium found: install chromium (Debian) or Chrome, or name one in VF_CHROMIUM"
-        )
+    try:
+        return watcher.chromium()
+    except watcher.NoBrowser as reason:
         if os.environ.get("VF_REQUIRE_BROWSER") == "1":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    return path
+            pytest.fail(str(reason))
+        pytest.skip(str(reason))
 
 
 @pytest.fixture(scope="session")
@@ -79,7 +52,7 @@ def browser(chromium: str) -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=chromium, args=list(watcher.ARGUMENTS))
         yield browser
         browser.close()
 

@@ -7,10 +7,10 @@ import time
 
 import numpy as np
 import pinocchio as pin
-from conftest import ARGUMENTS, find_chromium
 from playwright.sync_api import sync_playwright
 from watching import Visitor, settle
 
+from app.bench.watcher import ARGUMENTS, chromium
 from app.session import Session
 from app.settings import Options
 from app.view import Page, camera
@@ -23,7 +23,7 @@ def main(path: str) -> None:
     with Session(Options()) as session, sync_playwright() as playwright:
         page = Page(session, "127.0.0.1", 0)
         try:
-            browser = playwright.chromium.launch(executable_path=find_chromium(), args=ARGUMENTS)
+            browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
             tab = browser.new_page(viewport={"width": 1280, "height": 720})
             visitor = Visitor(tab, -1, page)
             tab.goto(page.url)
