@@ -120,7 +120,7 @@ def test_the_papers_conditions_leak_on_damaged_meshes(kind):
 
 def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
-    honest = vf.fixtures.certified_planes
+    honest = vf.certified_planes
 
     def weakened(surface, x, radius, standoff=0.0, tip_radius=0.0):
         planes = honest(surface, x, radius, standoff, tip_radius)
@@ -129,7 +129,7 @@ def test_a_weakened_cover_is_caught(monkeypatch):
             planes, offsets=planes.offsets - back, points=planes.points - back * planes.normals
         )
 
-    monkeypatch.setattr(vf.fixtures, "certified_planes", weakened)
+    monkeypatch.setattr(vf.fixtures, "cover", weakened)
     monkeypatch.setattr(vf, "certified_planes", weakened)
     mesh = meshes.arrays("cube")
     driven = campaign.drive(
