@@ -100,6 +100,7 @@ def test_the_course_is_free_at_its_start_and_goes_below_the_skin(small: vf.Surfa
         assert any(small.inside(target.translation) for target in targets), spot
 
 
+@pytest.mark.slow
 def test_runtime_reports_every_row_and_its_parts(tmp_path: Path) -> None:
     options = settings.Runtime(
         sizes=(2_048, 8_192), radii=(2e-3, None), ticks=400, passes=1, out=tmp_path

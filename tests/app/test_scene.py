@@ -88,6 +88,7 @@ def test_the_mesh_stands_below_the_tool_and_is_shown_in_full() -> None:
         assert not array.flags.writeable
 
 
+@pytest.mark.slow
 def test_a_large_mesh_is_shown_lighter_and_controlled_in_full() -> None:
     count = len(meshes.arrays("skull-fine")[1])
     scene = scenes.build(Options(mesh="skull-fine"), 1)

@@ -62,6 +62,7 @@ def test_clean_meshes_are_sound_and_measured_as_trimesh_measures_them(
     np.testing.assert_allclose(report.edge_percentiles, np.percentile(lengths, [0, 5, 50, 95, 100]))
 
 
+@pytest.mark.slow
 def test_a_surface_gives_the_same_report() -> None:
     mesh = damage("slivers", meshes.arrays("torus"), 3)
     a, b = health(*mesh), health(vf.Surface.from_arrays(*mesh))
