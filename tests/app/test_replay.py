@@ -100,7 +100,9 @@ def test_the_tool_stays_out_for_a_whole_tour(mesh: str, oracle: type[Any]) -> No
     ("robot", "radius"),
     [("psm", None), ("psm", 5e-4), ("psm", 5e-3), ("point", 5e-3), ("panda", 5e-3), ("ur5", 5e-3)],
 )
-@pytest.mark.parametrize("mesh", meshes.names())
+# Without the pre-cut skull: the tour may lead the tool through its open slot, where a tool that is
+# still below when the proxy has left is right, and "follows when free" is the wrong question.
+@pytest.mark.parametrize("mesh", [name for name in meshes.names() if name != "skull-precut"])
 def test_the_tool_stays_out_of_everything_with_every_arm(
     mesh: str, robot: str, radius: float | None, oracle: type[Any]
 ) -> None:
