@@ -20,6 +20,7 @@ from app.session import Session
 from app.view import camera, readouts
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
+from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
 from app.view.panel import Panel, Readouts
@@ -30,6 +31,9 @@ log = logging.getLogger(__name__)
 
 FRAME = 1.0 / 30.0  # shortest time between two updates of the scene [s]
 READOUT = 0.25  # between two updates of the read-outs [s]
+
+# Parts of the page that stand on their own, in the order they are built.
+FEATURES: tuple[Maker, ...] = ()
 
 
 class Page:
@@ -72,6 +76,8 @@ class Page:
         server.gui.main_panel.set_width(345)
         self._readouts.panel.dock_left()
         self._readouts.panel.set_width(262)
+        stage = Stage(server, session, self._hand, self._tell, self._readouts.panel)
+        self._features: list[Feature] = [make(stage) for make in FEATURES]
 
         self._newest: Telemetry | None = None
         self._newest_since = time.monotonic()
@@ -166,6 +172,8 @@ class Page:
                 self._fixture.update(step, scene.surface)
             self._tool.update(tip.translation, options.tip_radius, force)
             self._proxy.update(self._handle(telemetry), telemetry.target, tip.translation)
+            for feature in self._features:
+                feature.frame(telemetry)
 
     def _handle(self, telemetry: Telemetry) -> pin.SE3:
         """Where the gizmo is: in the autopilot's hand or in the operator's."""
@@ -178,6 +186,8 @@ class Page:
         scene = self._session.scene
         self._anatomy.set_scene(scene)
         self._arm.set_scene(scene)
+        for feature in self._features:
+            feature.set_scene(scene)
         view = camera.site_view(scene, scene.T_base_start.translation)
         camera.compose_first_sight(self._server, view)
         if self._scene_version >= 0:
@@ -209,6 +219,8 @@ class Page:
             self._readouts.show(readouts.readouts(telemetry, options, extras))
             self._panel.set_banner(readouts.banner(telemetry, options, extras, clutched))
             self._panel.sync()
+            for feature in self._features:
+                feature.read_out(telemetry)
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         """Move one client's camera to a preset."""

@@ -1,0 +1,54 @@
+"""The seam between the page and its optional parts: inspector, signals, recorder and the like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import viser
+
+from app.messages import Telemetry
+from app.scene import Scene
+from app.session import Session
+from app.view.hand import Hand, Tell
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a part of the page is built on.
+
+    Attributes:
+        server: the viser server; nodes and controls are added to it once, when the part is built.
+        session: what the operator does goes there, through `hand.submit`.
+        hand: `hand.submit(order, *arguments)` runs an order in sequence, off the event loop.
+        tell: a notification on one client's page.
+        left: the panel of read-outs; a part may add a tab to it (`left.add_tab`). Folders added
+            through `server.gui` appear in the panel of controls on the right.
+    """
+
+    server: viser.ViserServer
+    session: Session
+    hand: Hand
+    tell: Tell
+    left: viser.PanelHandle
+
+
+class Feature(Protocol):
+    """A part of the page with a module of its own. All calls come from the view thread."""
+
+    def set_scene(self, scene: Scene) -> None:
+        """Another mesh or robot is about to be drawn; called once at the start as well."""
+        ...
+
+    def frame(self, telemetry: Telemetry) -> None:
+        """Up to 30 times a second while somebody watches, inside `server.atomic()`."""
+        ...
+
+    def read_out(self, telemetry: Telemetry) -> None:
+        """Up to 4 times a second while somebody watches, inside `server.atomic()`."""
+        ...
+
+
+# How each part is made; `app.view.page.FEATURES` lists them in the order of the page.
+Maker = Callable[[Stage], Feature]
