@@ -1,4 +1,7 @@
-"""A real session and page, watched and driven by a real Chromium. Shared by all browser tests."""
+"""A real session and page, watched and driven by a real Chromium. Shared by all browser tests.
+
+They end with the browser tests: their threads must not tick under the tests that follow.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ HARMLESS = (
 )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def chromium() -> str:
     try:
         return watcher.chromium()
@@ -33,21 +36,21 @@ def chromium() -> str:
         pytest.skip(str(reason))
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def session(chromium: str) -> Iterator[Session]:
     # Half the usual rate, to leave a small machine something for the browser.
     with Session(Options(mesh="skull-coarse", rate=500.0)) as session:
         yield session
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def page(session: Session) -> Iterator[Page]:
     page = Page(session, "127.0.0.1", 0)
     yield page
     page.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser(chromium: str) -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
@@ -57,7 +60,7 @@ def browser(chromium: str) -> Iterator[Any]:
         browser.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def visit(browser: Any, page: Page) -> Callable[[], Visitor]:
     """Opens another tab and waits until the page knows it and has sent everything."""
 
@@ -83,7 +86,7 @@ def visit(browser: Any, page: Page) -> Callable[[], Visitor]:
     return open_tab
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def visitor(visit: Callable[[], Visitor]) -> Visitor:
     """The tab that most tests share."""
     return visit()
