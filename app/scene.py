@@ -20,6 +20,7 @@ import vf
 from app.autopilot import Autopilot, plan
 from app.engine import Plant, is_free
 from app.settings import Options
+from meshes.damage import damage
 from robots import Arm
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +35,8 @@ class Scene:
         version: grows with every change of mesh or robot; `Telemetry.scene` refers to it.
         mesh_name: catalogue name, or the file's name.
         surface: the full mesh the control works on, arm base frame.
+        T_base_mesh: (4, 4) pose of the mesh's own frame in the arm's base frame.
+        planned_path: (k, 3) the planned cut on this mesh, arm base frame [m]; None: there is none.
         vertices_shown, faces_shown: what to draw: the mesh, or a decimated copy of it.
         decimated: whether what is drawn is a decimated copy.
         robot: name of the arm.
@@ -47,6 +50,8 @@ class Scene:
     version: int
     mesh_name: str
     surface: vf.Surface
+    T_base_mesh: FloatArray
+    planned_path: FloatArray | None
     vertices_shown: FloatArray
     faces_shown: NDArray[np.int64]
     decimated: bool
@@ -75,12 +80,7 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
     arm = robots.load(options.robot)
     T_base_tip = arm.tip(arm.neutral)
 
-    say(f"loading the mesh {options.mesh}")
-    notes: list[str] = []
-    with _caught_warnings() as caught:
-        vertices, faces = meshes.arrays(options.mesh, unit=options.unit)
-    notes += [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
-    vertices = meshes.place(vertices, T_base_tip)
+    vertices, faces, T_base_mesh, notes = anatomy(options, T_base_tip, say)
 
     say("preparing the kernels (the first start compiles them: up to a minute)")
     _warm_up()
@@ -107,6 +107,8 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
         version=version,
         mesh_name=Path(options.mesh).name,
         surface=surface,
+        T_base_mesh=_read_only(T_base_mesh),
+        planned_path=_planned_path(options.mesh, T_base_mesh),
         vertices_shown=_read_only(shown),
         faces_shown=_read_only(faces_shown),
         decimated=decimated,
@@ -117,6 +119,50 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
         T_base_start=T_base_start,
         autopilot=plan(surface, T_base_start),
     )
+
+
+def anatomy(
+    options: Options, T_base_tip: pin.SE3, progress: Progress
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str]]:
+    """The mesh as these options want it: loaded, damaged, repaired, placed once, in that order.
+
+    Returns:
+        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), and what
+        the user should know, a sentence each.
+
+    Raises:
+        ValueError: unusable mesh or placement, with the reason.
+    """
+    progress(f"loading the mesh {options.mesh}")
+    with _caught_warnings() as caught:
+        mesh = meshes.arrays(options.mesh, unit=options.unit)
+    notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
+    if options.damage != "none":
+        mesh = damage(options.damage, mesh, options.seed)
+        notes.append(f"Damaged on purpose: {options.damage}, seed {options.seed}.")
+    if options.repair or options.flip:
+        progress("repairing the mesh")
+        mended = meshes.repair(*mesh, flip=options.flip)
+        if not len(mended.faces):
+            raise meshes.MeshError(f"{options.mesh}: no face has any area, nothing is left of it")
+        mesh = mended.arrays
+        done, left = mended.changes.lines(), mended.changes.left
+        notes.append(
+            "Repaired: " + ("; ".join(done) if done else "there was nothing to mend") + "."
+        )
+        if left:
+            notes.append("Left as it is: " + "; ".join(left) + ".")
+    vertices, faces = mesh
+    placement = meshes.Placement(options.at, options.rotate, options.up)
+    T_base_mesh = placement.pose(vertices, T_base_tip)
+    return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes
+
+
+def _planned_path(mesh: str, T_base_mesh: FloatArray) -> FloatArray | None:
+    entry = meshes.catalogue().get(mesh)
+    if entry is None or entry.path is None:
+        return None
+    return _read_only(meshes.transformed(T_base_mesh, entry.path()))
 
 
 def plant(scene: Scene, options: Options) -> Plant:

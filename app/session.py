@@ -20,10 +20,11 @@ from app.loop import ControlLoop
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
 from app.scene import Progress, Scene
-from app.settings import OptionError, Options, check_names, in_range
+from app.settings import MESH, OptionError, Options, check_names, in_range
 from app.teleop import latch
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
+DEFAULTS = Options()
 
 
 class Refused(ValueError):
@@ -232,6 +233,7 @@ class Session:
         unit: str | None = None,
         robot: str | None = None,
         progress: Callable[[str], None] | None = None,
+        **more: Any,
     ) -> Scene:
         """Another mesh or robot: built aside while the old one runs, then swapped between ticks.
 
@@ -245,6 +247,8 @@ class Session:
             unit: of the mesh file.
             robot: name; None keeps the robot.
             progress: called with a few words before each step.
+            more: other `Options` by name, such as ``repair=True``. Of those that belong to the mesh
+                (`settings.MESH`) another mesh takes the ones named here and the defaults.
 
         Raises:
             Refused: another change is under way.
@@ -253,13 +257,13 @@ class Session:
         if not self._changing.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
         try:
-            wanted: dict[str, Any] = {
-                name: value
-                for name, value in (("mesh", mesh), ("robot", robot))
-                if value is not None
-            }
-            if mesh is not None or unit is not None:
-                wanted["unit"] = unit
+            wanted: dict[str, Any] = {}
+            if mesh is not None:
+                wanted = {name: getattr(DEFAULTS, name) for name in MESH}
+            for name, value in (("mesh", mesh), ("unit", unit), ("robot", robot)):
+                if value is not None:
+                    wanted[name] = value
+            wanted.update(more)
             options = replace(self.options, **wanted)
             check_names(options)
             new = scenes.build(options, self.scene.version + 1, progress)

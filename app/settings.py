@@ -17,6 +17,9 @@ from typing import Annotated, TypeVar
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
+# The settings that say which mesh, and how it is prepared and placed; they change together.
+MESH = ("mesh", "unit", "at", "rotate", "up", "damage", "seed", "repair", "flip")
+
 # What a value may be; the panel clamps to these, the command line refuses what is outside.
 RANGES: dict[str, tuple[float, float]] = {
     "radius": (5e-5, 2e-2),  # [m]
@@ -75,6 +78,43 @@ def format_length(value: float | None) -> str:
     raise AssertionError("unreachable")
 
 
+def parse_point(text: str) -> tuple[float, float, float] | None:
+    """Three lengths [m] with commas between them, such as `0,-1cm,-12cm`; None for `auto`."""
+    if text.strip().lower() == "auto":
+        return None
+    words = text.split(",")
+    if len(words) != 3:
+        raise OptionError(
+            f"'{text}' is not a place: write x,y,z as three lengths without spaces, "
+            "such as 0,-1cm,-12cm; or write auto"
+        )
+    return parse_length(words[0]), parse_length(words[1]), parse_length(words[2])
+
+
+def format_point(value: tuple[float, float, float] | None) -> str:
+    """The text that `parse_point` reads back as the same place."""
+    return "auto" if value is None else ",".join(map(format_length, value))
+
+
+def parse_turn(text: str) -> tuple[float, float, float]:
+    """Three angles [rad] from degrees with commas between them, such as `0,0,90`."""
+    try:
+        x, y, z = (math.radians(float(word)) for word in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise OptionError(
+            f"'{text}' is not a turn: write degrees about x,y,z as three numbers without spaces, "
+            "such as 0,0,90"
+        )
+    return x, y, z
+
+
+def format_turn(value: tuple[float, float, float]) -> str:
+    """The text that `parse_turn` reads back as the same turn."""
+    return ",".join(f"{math.degrees(angle):.9g}" for angle in value)
+
+
 def in_range(name: str, value: float) -> float:
     """The value clamped to what the setting `name` allows (not a number: refused)."""
     low, high = RANGES[name]
@@ -105,6 +145,27 @@ Radius = Annotated[
     ),
 ]
 
+Point = Annotated[
+    tuple[float, float, float] | None,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="auto|X,Y,Z",
+        instance_from_str=lambda words: parse_point(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, tuple),
+        str_from_instance=lambda value: [format_point(value)],
+    ),
+]
+Turn = Annotated[
+    tuple[float, float, float],
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="DEG,DEG,DEG",
+        instance_from_str=lambda words: parse_turn(words[0]),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [format_turn(value)],
+    ),
+]
+
 
 @dataclass(frozen=True)
 class Options:
@@ -119,6 +180,21 @@ class Options:
     """Catalogue name (a wrong one lists them all), or path of an STL, OBJ, PLY, OFF or GLB file."""
     unit: str | None = None
     """Unit of a mesh file: m, mm, cm or in. Guessed from its size if not given."""
+    at: Point = None
+    """Where the mesh's own origin goes in the arm's base frame, such as 0,-1cm,-12cm; auto:
+    straight under the tip's neutral pose, which for the psm is under the remote centre."""
+    rotate: Turn = (0.0, 0.0, 0.0)
+    """Turn of the mesh in degrees about the base frame's x, then y, then z axis."""
+    up: str = "z"
+    """The mesh's own axis that faces the tool: z, -z, y, -y, x or -x (glTF files often have y)."""
+    damage: str = "none"
+    """Damage done to the mesh on purpose, to see how a rule bears it (a wrong one lists them)."""
+    seed: int = 0
+    """Seed of the damage."""
+    repair: bool = False
+    """Weld, drop what is no face, turn what is wound wrongly, before use; nothing is moved."""
+    flip: bool = False
+    """Turn open sheets over: they have no outside to be known by."""
     robot: str = "psm"
     """Arm that carries the tool: psm, point, panda or ur5."""
     rule: str = "certified"
@@ -164,17 +240,21 @@ class Options:
 
 
 def check_names(options: Options) -> None:
-    """Refuse unknown robots and rules before anything slow is started.
+    """Refuse unknown robots, rules and the like before anything slow is started.
 
     Raises:
         OptionError: naming the valid choices.
     """
+    import meshes
     import robots
     import vf
+    from meshes.damage import kinds
 
     for kind, name, known in (
         ("robot", options.robot, tuple(robots.names())),
         ("rule", options.rule, tuple(vf.RULES)),
+        ("axis", options.up, meshes.UPS),
+        ("damage", options.damage, kinds()),
     ):
         if name not in known:
             raise OptionError(f"unknown {kind} '{name}': choose one of {', '.join(known)}")

@@ -3,18 +3,18 @@
 Everything that comes out of this package is in metres.
 """
 
-from meshes.catalogue import Entry, catalogue, names
+from meshes.catalogue import Entry, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
 from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, UNITS, arrays, load
-from meshes.place import Display, display, place, placement
+from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
 from meshes.save import WRITABLE, save
-from meshes.skull import planned_cut
 
 __all__ = [
     "FORMATS",
     "UNITS",
+    "UPS",
     "WRITABLE",
     "Changes",
     "Display",
@@ -22,6 +22,7 @@ __all__ = [
     "Finding",
     "Health",
     "MeshError",
+    "Placement",
     "Repaired",
     "UnitGuess",
     "arrays",
@@ -32,7 +33,8 @@ __all__ = [
     "names",
     "place",
     "placement",
-    "planned_cut",
+    "planned_path",
     "repair",
     "save",
+    "transformed",
 ]

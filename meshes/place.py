@@ -1,7 +1,9 @@
-"""Where a mesh goes in the arm's workspace, and the lighter copy of it that the page draws."""
+"""Where a mesh stands in the arm's base frame, and the lighter copy of it that the page draws."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -10,56 +12,144 @@ from numpy.typing import ArrayLike, NDArray
 from meshes.errors import MeshError
 from meshes.thin import thin
 
+FloatArray = NDArray[np.float64]
+
+GAP = 0.015  # [m] of free space between the tip and the side to be worked on
+FARTHEST = 2.0  # [m] of a mesh's origin from the arm's base; farther is a slip of the unit
+# Turns that bring one of a mesh's own axes to +z, where the tool comes from. About x wherever
+# that can be, so that left and right stay.
+_UP: dict[str, FloatArray] = {
+    "z": np.eye(3),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "-x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+}
+UPS = tuple(_UP)
+"""Names of a mesh's own axes that may face the tool."""
+
 
 class Pose(Protocol):
     """A rigid transform that knows its 4 × 4 matrix, such as ``pinocchio.SE3``."""
 
     @property
-    def homogeneous(self) -> NDArray[np.float64]: ...
+    def homogeneous(self) -> FloatArray: ...
 
 
 class Display(NamedTuple):
     """What the page draws: vertices ``(n, 3)`` [m], faces ``(m, 3)``, whether it is lighter."""
 
-    vertices: NDArray[np.float64]
+    vertices: FloatArray
     faces: NDArray[np.int64]
     decimated: bool
 
 
-def placement(
-    vertices: ArrayLike, T_base_tip_neutral: Pose | ArrayLike, gap: float = 0.015
-) -> NDArray[np.float64]:
-    """The translation ``(3,)`` [m] from a mesh's own axes to the arm's base frame.
+@dataclass(frozen=True)
+class Placement:
+    """How a mesh is put into the arm's base frame: turned first, then moved, never scaled.
 
-    It brings the middle of the top face of the bounding box ``gap`` [m] below (−z of the base
-    frame) the arm's tip in its neutral pose, given as a pose or a 4 × 4 matrix. Apply it also to
-    what belongs to the mesh, such as :func:`meshes.planned_cut`.
+    Tools come from above: +z of the base frame. The catalogue's meshes have the side to be worked
+    on towards their own +z, anatomy in head axes: x to the right, y to the front.
+
+    Attributes:
+        at: ``(x, y, z)`` [m] of the mesh's own origin in the base frame. None: automatic, the
+            middle of the top of the turned bounding box `GAP` below the tip's neutral pose, which
+            for a PSM is straight under the remote centre.
+        rotate: turns [rad] about the base frame's x, then y, then z axis, after ``up``.
+        up: the mesh's own axis that faces the tool, one of `UPS`.
+
+    Raises:
+        MeshError: not finite, ``at`` farther than `FARTHEST`, an unknown axis.
     """
-    points = np.asarray(vertices, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise MeshError(f"cannot place vertices of shape {points.shape}: give (n, 3), n > 0")
-    T = np.asarray(getattr(T_base_tip_neutral, "homogeneous", T_base_tip_neutral), dtype=np.float64)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise ValueError(f"T_base_tip_neutral must be a pose or a finite 4 x 4 matrix, not {T}")
-    low, high = points.min(axis=0), points.max(axis=0)
-    top = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
-    return T[:3, 3] - np.array([0.0, 0.0, gap]) - top
+
+    at: tuple[float, float, float] | None = None
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up: str = "z"
+
+    def __post_init__(self) -> None:
+        if self.up not in _UP:
+            raise MeshError(f"unknown axis {self.up!r}: choose one of {', '.join(UPS)}")
+        for name, value in (("at", self.at), ("rotate", self.rotate)):
+            if value is None:
+                continue
+            if len(value) != 3 or not all(math.isfinite(number) for number in value):
+                raise MeshError(f"{name} must be three finite numbers, not {value}")
+        if self.at is not None and math.hypot(*self.at) > FARTHEST:
+            raise MeshError(
+                f"at {', '.join(f'{x:g} m' for x in self.at)} is more than {FARTHEST:g} m from the "
+                "arm's base: is the unit right?"
+            )
+
+    @property
+    def rotation(self) -> FloatArray:
+        """``(3, 3)``, from the mesh's own axes to the base frame's."""
+        (cx, cy, cz), (sx, sy, sz) = np.cos(self.rotate), np.sin(self.rotate)
+        X = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+        Y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+        Z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray(Z @ Y @ X @ _UP[self.up])
+
+    def pose(
+        self, vertices: ArrayLike, T_base_tip_neutral: Pose | ArrayLike, gap: float = GAP
+    ) -> FloatArray:
+        """``T_base_mesh`` ``(4, 4)`` of a mesh with these vertices ``(n, 3)`` [m].
+
+        Raises:
+            MeshError: no vertices.
+            ValueError: the tip's pose is no finite 4 × 4 matrix.
+        """
+        points = np.asarray(vertices, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+            raise MeshError(f"cannot place vertices of shape {points.shape}: give (n, 3), n > 0")
+        tip = np.asarray(
+            getattr(T_base_tip_neutral, "homogeneous", T_base_tip_neutral), dtype=np.float64
+        )
+        if tip.shape != (4, 4) or not np.isfinite(tip).all():
+            raise ValueError(f"T_base_tip_neutral must be a pose or a finite 4 x 4 matrix: {tip}")
+        T_base_mesh = np.eye(4)
+        T_base_mesh[:3, :3] = self.rotation
+        if self.at is not None:
+            T_base_mesh[:3, 3] = self.at
+        else:
+            turned = transformed(T_base_mesh, points)
+            low, high = turned.min(axis=0), turned.max(axis=0)
+            top = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
+            T_base_mesh[:3, 3] = tip[:3, 3] - np.array([0.0, 0.0, gap]) - top
+        return T_base_mesh
+
+
+AUTOMATIC = Placement()
+
+
+def transformed(T: ArrayLike, points: ArrayLike) -> FloatArray:
+    """Points ``(n, 3)`` moved by a rigid transform ``(4, 4)``: a new array.
+
+    Whatever belongs to a mesh (`meshes.planned_path`) goes through the same transform as its
+    vertices. A transform that turns nothing is a sum alone: no coordinate is rounded twice.
+    """
+    T, points = np.asarray(T, dtype=np.float64), np.asarray(points, dtype=np.float64)
+    if np.array_equal(T[:3, :3], np.eye(3)):
+        return points + T[:3, 3]
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+
+def placement(
+    vertices: ArrayLike, T_base_tip_neutral: Pose | ArrayLike, gap: float = GAP
+) -> FloatArray:
+    """The translation ``(3,)`` [m] of the automatic `Placement`, which turns nothing."""
+    return AUTOMATIC.pose(vertices, T_base_tip_neutral, gap)[:3, 3]
 
 
 def place(
-    vertices: ArrayLike, T_base_tip_neutral: Pose | ArrayLike, gap: float = 0.015
-) -> NDArray[np.float64]:
-    """The vertices ``(n, 3)`` [m] moved under the arm's tip, in its base frame: a new array.
-
-    A pure translation, see :func:`placement`. Apply it once, before the ``Surface`` is built.
-    """
-    points = np.asarray(vertices, dtype=np.float64)
-    return points + placement(points, T_base_tip_neutral, gap)
+    vertices: ArrayLike, T_base_tip_neutral: Pose | ArrayLike, gap: float = GAP
+) -> FloatArray:
+    """The vertices ``(n, 3)`` [m] under the arm's tip, in its base frame, by the automatic
+    `Placement`: a new array. Apply it once, before the ``Surface`` is built."""
+    return transformed(AUTOMATIC.pose(vertices, T_base_tip_neutral, gap), vertices)
 
 
-def display(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], limit: int = 100_000
-) -> Display:
+def display(vertices: FloatArray, faces: NDArray[np.int64], limit: int = 100_000) -> Display:
     """A copy to draw, of at most ``limit`` triangles; the arrays themselves if they are few enough.
 
     Control always queries the full mesh. Quadric decimation keeps the shape within a fraction of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -125,6 +126,18 @@ class Surface:
             row = int(np.argmin(np.isfinite(v).all(axis=1)))
             raise ValueError(f"vertex {row} is not finite: {v[row]}")
         return Surface(v, f, progress)
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 of vertices and faces, in hexadecimal: equal for the same mesh in the same place.
+
+        Little-endian float64 and int64 in the caller's order, so it is the same on any machine.
+        """
+        digest = hashlib.sha256()
+        for array, kind in ((self.vertices, "<f8"), (self.faces, "<i8")):
+            digest.update(f"{array.shape}{kind}".encode())
+            digest.update(np.ascontiguousarray(array, dtype=kind).data)
+        return digest.hexdigest()
 
     def __repr__(self) -> str:
         return f"Surface({len(self.faces):,} triangles, {len(self.vertices):,} vertices)"

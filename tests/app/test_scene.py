@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,37 @@ def test_the_mesh_stands_below_the_tool_and_is_shown_in_full() -> None:
     assert scene.arm.tip(scene.start).isApprox(scene.T_base_start, 1e-12)
     for array in (scene.vertices_shown, scene.faces_shown, scene.start):
         assert not array.flags.writeable
+
+
+def test_a_mesh_stands_where_it_is_put_and_its_path_with_it() -> None:
+    options = Options(
+        mesh="skull-coarse", robot="point", at=(0.01, -0.02, -0.1), rotate=(0.0, 0.0, np.pi / 2)
+    )
+    scene = scenes.build(options, 1)
+    own, _ = meshes.arrays("skull-coarse")
+    turned = np.column_stack([-own[:, 1], own[:, 0], own[:, 2]]) + options.at
+    np.testing.assert_allclose(scene.surface.vertices, turned, atol=1e-15)
+    assert scene.planned_path is not None
+    heights = [scene.surface.nearest(p)[0] for p in scene.planned_path]
+    assert max(heights) < 1e-3  # on the smooth surface, the coarse mesh's chords run below it
+    assert scenes.build(Options(mesh="cube", robot="point"), 1).planned_path is None
+
+
+def test_a_mesh_is_damaged_and_repaired_as_told() -> None:
+    clean = scenes.build(Options(mesh="torus", robot="point"), 1)
+    bad = scenes.build(Options(mesh="torus", robot="point", damage="flipped", seed=3), 1)
+    assert clean.surface.closed
+    assert not bad.surface.closed
+    turned = np.einsum("ij,ij->i", clean.surface.normals, bad.surface.normals) < 0.0
+    assert turned.sum() == round(0.05 * len(turned))
+    assert any("flipped, seed 3" in note for note in bad.notes)
+    options = Options(mesh="torus", robot="point", damage="flipped", seed=3, repair=True)
+    mended = scenes.build(options, 1)
+    np.testing.assert_allclose(mended.surface.normals, clean.surface.normals, atol=1e-9)
+    assert any(f"turned {turned.sum()} faces" in note for note in mended.notes)
+    sheet = Options(mesh="torus", robot="point", damage="sheet")
+    flipped = scenes.build(replace(sheet, flip=True), 1).surface
+    np.testing.assert_allclose(flipped.normals, -scenes.build(sheet, 1).surface.normals, atol=1e-9)
 
 
 @pytest.mark.slow

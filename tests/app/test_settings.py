@@ -11,10 +11,14 @@ from app.settings import (
     OptionError,
     Options,
     format_length,
+    format_point,
+    format_turn,
     in_range,
     parse,
     parse_length,
+    parse_point,
     parse_radius,
+    parse_turn,
 )
 
 
@@ -64,7 +68,10 @@ def test_the_command_line_is_read() -> None:
     words = "--mesh cube --unit mm --robot point --rule paper --radius auto --rate 500"
     words += " --host 0.0.0.0 --port 0 --standoff 0.05mm --tip-radius 1mm"
     options = parse(words.split(), "")
-    assert options == Options("cube", "mm", "point", "paper", None, 500.0, "0.0.0.0", 0, 5e-5, 1e-3)
+    assert options == Options(
+        mesh="cube", unit="mm", robot="point", rule="paper", radius=None, rate=500.0,
+        host="0.0.0.0", port=0, standoff=5e-5, tip_radius=1e-3,
+    )  # fmt: skip
     assert options.dt == pytest.approx(2e-3)
 
 
@@ -96,3 +103,24 @@ def test_panel_values_are_clamped(name: str) -> None:
 def test_settings_do_not_load_the_kernels() -> None:
     code = "import sys, app.settings; sys.exit('numba' in sys.modules or 'vf' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3))
+def test_a_printed_place_and_a_printed_turn_read_back(numbers: tuple[float, float, float]) -> None:
+    assert parse_point(format_point(numbers)) == pytest.approx(numbers, abs=1e-9, rel=1e-4)
+    assert parse_turn(format_turn(numbers)) == pytest.approx(numbers, abs=1e-9, rel=1e-6)
+
+
+def test_placement_on_the_command_line() -> None:
+    options = parse(["--at", "-1cm,0,-12cm", "--rotate", "-90,0,45", "--up", "-y"], "")
+    assert options.at == pytest.approx((-0.01, 0.0, -0.12))
+    assert options.rotate == pytest.approx((-math.pi / 2, 0.0, math.pi / 4))
+    assert options.up == "-y"
+    assert parse(["--at", "auto"], "").at is None
+
+
+@pytest.mark.parametrize("words", [["--at", "1,2"], ["--at", "here"], ["--rotate", "1,2,x"],
+                                   ["--rotate", "1,2,nan"], ["--rotate", "90"]])  # fmt: skip
+def test_what_is_no_placement_says_how_to_write_one(words: list[str]) -> None:
+    with pytest.raises(OptionError, match=r"is not a (place|turn|length): write"):
+        parse(words, "")

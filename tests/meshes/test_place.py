@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy.spatial.transform
 import trimesh
 
 import meshes
@@ -35,12 +36,91 @@ def test_default_gap_and_matrix_pose() -> None:
     np.testing.assert_allclose(meshes.placement(vertices, T), [0.01, 0.02, -0.1587], atol=1e-12)
 
 
-def test_the_planned_cut_moves_with_the_skull() -> None:
+def corner_points(vertices: np.ndarray) -> np.ndarray:
+    """A few odd vertices, to follow them through a transform."""
+    return vertices[:: max(1, len(vertices) // 7)]
+
+
+@pytest.mark.parametrize(
+    ("up", "own"),
+    [
+        ("z", (0, 0, 1)), ("-z", (0, 0, -1)), ("y", (0, 1, 0)),
+        ("-y", (0, -1, 0)), ("x", (1, 0, 0)), ("-x", (-1, 0, 0)),
+    ],
+)  # fmt: skip
+def test_the_side_named_faces_the_tool_and_nothing_is_mirrored(
+    up: str, own: tuple[int, int, int]
+) -> None:
+    vertices, _ = meshes.arrays("l-block")
+    T_base_tip = pin.SE3(np.eye(3), np.array([0.1, -0.2, 0.3]))
+    T = meshes.Placement(up=up).pose(vertices, T_base_tip)
+    np.testing.assert_array_equal(T[:3, :3] @ own, [0, 0, 1])
+    assert np.linalg.det(T[:3, :3]) == 1.0
+    placed = meshes.transformed(T, vertices)
+    height = np.ptp(vertices @ np.array(own))
+    np.testing.assert_allclose(placed[:, 2].max(), 0.285, atol=1e-12)
+    np.testing.assert_allclose(placed[:, 2].min(), 0.285 - height, atol=1e-12)
+    middle = 0.5 * (placed.min(axis=0) + placed.max(axis=0))
+    np.testing.assert_allclose(middle[:2], [0.1, -0.2], atol=1e-12)
+
+
+def test_turns_are_about_the_base_axes_one_after_the_other() -> None:
+    angles = (0.3, -1.1, 2.0)
+    # scipy's small letters are turns about fixed axes, in their order.
+    fixed = scipy.spatial.transform.Rotation.from_euler("xyz", angles).as_matrix()
+    np.testing.assert_allclose(meshes.Placement(rotate=angles).rotation, fixed, atol=1e-12)
+    up = meshes.Placement(up="y").rotation
+    both = meshes.Placement(rotate=angles, up="y").rotation
+    np.testing.assert_allclose(both, fixed @ up, atol=1e-12)
+
+
+def test_a_place_named_is_where_the_meshs_origin_goes() -> None:
     vertices, _ = meshes.arrays("skull-coarse")
-    T = np.eye(4)
-    T[:3, 3] = (0.1, -0.2, 0.3)
-    offset = meshes.placement(vertices, T)
-    np.testing.assert_allclose(meshes.place(vertices, T), vertices + offset, atol=1e-15)
+    at, rotate = (0.01, -0.02, -0.15), (0.0, 0.0, np.pi / 2)
+    T = meshes.Placement(at, rotate).pose(vertices, np.eye(4))
+    np.testing.assert_array_equal(T[:3, 3], at)
+    some = corner_points(vertices)
+    moved = np.column_stack([-some[:, 1], some[:, 0], some[:, 2]]) + at
+    np.testing.assert_allclose(meshes.transformed(T, some), moved, atol=1e-15)
+
+
+def test_the_planned_path_moves_with_the_skull() -> None:
+    vertices, faces = meshes.arrays("skull")
+    T = meshes.Placement(rotate=(0.4, -0.2, 1.0), up="-y").pose(vertices, np.eye(4))
+    path = meshes.transformed(T, meshes.planned_path("skull"))
+    skull = trimesh.Trimesh(meshes.transformed(T, vertices) * 1e3, faces, process=False)
+    for p in path[::10] * 1e3:  # [mm]
+        near = trimesh.triangles.closest_point(skull.triangles, np.tile(p, (len(faces), 1)))
+        # The path is on the smooth surface, of which the mesh's chords run microns short.
+        assert np.linalg.norm(near - p, axis=1).min() < 0.05
+
+
+def test_every_skull_has_the_planned_path_and_other_meshes_say_so() -> None:
+    skulls = [name for name in meshes.names() if name.startswith("skull")]
+    assert len(skulls) >= 5
+    for name in skulls:
+        path = meshes.planned_path(name)
+        assert path.shape == (31, 3)
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        np.testing.assert_allclose(steps.sum(), 0.030, rtol=1e-3)
+    for name in ("cube", "no such mesh"):
+        with pytest.raises(meshes.MeshError, match=rf"no path.*{name}.*skull, skull-coarse"):
+            meshes.planned_path(name)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"up": "w"}, "'w'.*choose one of z, -z, y"),
+        ({"at": (0.0, float("nan"), 0.0)}, "at must be three finite numbers"),
+        ({"at": (0.0, 0.0, -120.0)}, "-120 m is more than 2 m"),
+        ({"rotate": (0.0, float("inf"), 0.0)}, "rotate must be three finite numbers"),
+        ({"rotate": (0.0, 1.0)}, "rotate must be three"),
+    ],
+)
+def test_refuses_what_is_no_placement(wrong: dict, words: str) -> None:
+    with pytest.raises(meshes.MeshError, match=words):
+        meshes.Placement(**wrong)
 
 
 @pytest.mark.parametrize("pose", [np.eye(3), np.full((4, 4), np.nan), [1, 2, 3]])

@@ -136,7 +136,7 @@ def test_openings_go_through_and_only_where_planned(cap: trimesh.Trimesh) -> Non
 
 
 def test_planned_cut_runs_back_over_the_crown(cap: trimesh.Trimesh) -> None:
-    cut = meshes.planned_cut()
+    cut = meshes.planned_path("skull")
     assert cut.shape == (31, 3)
     assert np.abs(cut[:, 0]).max() == 0.0
     assert cut[0, 1] == pytest.approx(0.010, abs=1e-9)
