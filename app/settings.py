@@ -186,7 +186,8 @@ class Options:
     rotate: Turn = (0.0, 0.0, 0.0)
     """Turn of the mesh in degrees about the base frame's x, then y, then z axis."""
     up: str = "z"
-    """The mesh's own axis that faces the tool: z, -z, y, -y, x or -x (glTF files often have y)."""
+    """The mesh's own axis that faces the tool: z, -z, y, -y, x or -x (write --up=-y). glTF files
+    often have y up."""
     damage: str = "none"
     """Damage done to the mesh on purpose, to see how a rule bears it (a wrong one lists them)."""
     seed: int = 0

@@ -278,7 +278,7 @@ def test_settings_change_while_running_and_are_clamped(
         with pytest.raises(Refused, match="must be a number"):
             setter(math.nan)
     assert session.options == Options(
-        "cube", None, "point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,
+        mesh="cube", robot="point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,
         force_gain=1000.0,
     )  # fmt: skip
 

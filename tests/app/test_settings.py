@@ -112,7 +112,7 @@ def test_a_printed_place_and_a_printed_turn_read_back(numbers: tuple[float, floa
 
 
 def test_placement_on_the_command_line() -> None:
-    options = parse(["--at", "-1cm,0,-12cm", "--rotate", "-90,0,45", "--up", "-y"], "")
+    options = parse(["--at", "-1cm,0,-12cm", "--rotate", "-90,0,45", "--up=-y"], "")
     assert options.at == pytest.approx((-0.01, 0.0, -0.12))
     assert options.rotate == pytest.approx((-math.pi / 2, 0.0, math.pi / 4))
     assert options.up == "-y"
