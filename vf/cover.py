@@ -27,10 +27,10 @@ from vf.surface import Surface
 BUDGET = 64
 # A face plane across a valley edge must leave x this share of the triangle's distance of room.
 VALLEY_ROOM = 0.05
-# On top of the standoff, plane number k (from 1) is moved towards x by this share of its distance,
-# times k. The nearest planes lose next to nothing, and in contact nothing at all; far facets share
-# planes. In a bowl, where every facet would want its own, this is a third of the planes and keeps
-# the budget from being spent, for about a percent of the free space.
+# On top of the standoff, plane number k (from 0) is moved towards x by this share of its distance,
+# times k. The nearest plane loses nothing, the next ones next to nothing, and in contact none does;
+# far facets share planes. In a bowl, where every facet would want its own, this is a third of the
+# planes and keeps the budget from being spent, for about a percent of the free space.
 EASE = 0.004
 # Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
 BUMP = 0.75
@@ -346,7 +346,7 @@ def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # t
             break
         space = room - base - tip_radius
         if space > standoff:
-            ease = EASE * (m + 1) * (space - standoff)
+            ease = EASE * m * (space - standoff)
             offset = base + tip_radius + standoff + ease
             limit = base + BUMP * standoff + ease
         else:
