@@ -132,6 +132,8 @@ def test_the_page_comes_up_says_where_and_closes_on_interrupt(number: signal.Sig
         text=True,
         cwd=ROOT,
         env={**os.environ, "COLUMNS": "200"},
+        # A shell's background jobs ignore interrupts, and so would what they start.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:
         try:
             assert process.stdout is not None
