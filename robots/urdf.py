@@ -1,4 +1,8 @@
-"""Franka Panda and UR5 from the URDF files of the package example-robot-data."""
+"""Franka Panda and UR5 from the URDF files of the package example-robot-data, each with a probe.
+
+The files end at the hand or at the bare flange. A rigid slim probe is added there, along the
+approach direction (+z), so that the arm has a tool and its tip is where that tool visibly ends.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +18,69 @@ import trimesh
 
 from robots import collada, numeric
 from robots.arm import Arm
-from robots.drawing import Body, Color, Drawing, body
+from robots.drawing import Body, Color, Drawing, body, rod
 
 _TRIANGLES = 60_000  # of a whole arm's drawing
 _PANDA = "panda_description/urdf/panda.urdf"
 _UR5 = "ur_description/urdf/ur5_robot.urdf"
 _FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+_PANDA_HOLDER = "panda_hand_tcp"  # between the tips of the shut fingers
+_UR5_HOLDER = "tool0"  # the flange
+
+PROBE_LENGTH = 0.1
+"""From the frame that holds the probe to the probe's point [m]."""
+_PROBE_RADIUS = 0.0025  # [m]
+_POINT_LENGTH = 0.02  # of the tapered end [m]
+_STEEL: Color = (176, 182, 188)
+_TIP = "probe_tip"
 
 
 def load_panda() -> Arm:
-    """Franka Panda, fingers locked shut, tip "panda_hand_tcp" (between the finger tips)."""
+    """Franka Panda with a probe of `PROBE_LENGTH` in its locked fingers; tip: the probe's point."""
     neutral = (0.0, -pi / 4, 0.0, -3 * pi / 4, 0.0, pi / 2, pi / 4)
-    model = _locked(_model(_PANDA), _FINGERS)
-    return Arm("panda", model, "panda_hand_tcp", neutral, numeric.inverse, _panda_drawing)
+    model = _with_probe(_locked(_model(_PANDA), _FINGERS), _PANDA_HOLDER)
+    return Arm("panda", model, _TIP, neutral, numeric.inverse, _panda_drawing)
 
 
 def load_ur5() -> Arm:
-    """Universal Robots UR5, tip "tool0" (the flange).
+    """Universal Robots UR5 with a probe of `PROBE_LENGTH` on its flange; tip: the probe's point.
 
-    At rest the elbow is up and the flange points straight down, 0.45 m in front of the base's
-    axis and 0.25 m above its foot.
+    At rest the elbow is up and the probe points straight down, its tip 0.45 m in front of the
+    base's axis and 0.25 m above its foot.
     """
-    shoulder, elbow = -1.55, 2.03
+    shoulder, elbow = -1.638, 1.846
     neutral = (0.0, shoulder, elbow, -pi / 2 - shoulder - elbow, -pi / 2, 0.0)
-    return Arm("ur5", _model(_UR5), "tool0", neutral, numeric.inverse, _ur5_drawing)
+    model = _with_probe(_model(_UR5), _UR5_HOLDER)
+    return Arm("ur5", model, _TIP, neutral, numeric.inverse, _ur5_drawing)
+
+
+def _with_probe(model: pin.Model, holder: str) -> pin.Model:
+    """The model with the frame `_TIP` at the point of a probe held by the frame `holder`."""
+    held = model.getFrameId(holder)
+    frame = model.frames[held]
+    T_joint_tip = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, PROBE_LENGTH]))
+    model.addFrame(
+        pin.Frame(_TIP, frame.parentJoint, held, T_joint_tip, pin.FrameType.OP_FRAME), False
+    )
+    return model
+
+
+def _probe_drawing(urdf: str, locked: tuple[str, ...], holder: str, socket: float) -> Body:
+    """A tapered rod to the tip; `socket` [m] is the radius of the disc it stands on (0: none)."""
+    model = _locked(_model(urdf), locked)
+    frame = model.frames[model.getFrameId(holder)]
+    waist = [0.0, 0.0, PROBE_LENGTH - _POINT_LENGTH]
+    parts = [
+        # Between the fingers it reaches back a little, to be seen held by them.
+        rod([0.0, 0.0, 0.0 if socket else -0.015], waist, _PROBE_RADIUS),
+        rod(waist, [0.0, 0.0, PROBE_LENGTH], _PROBE_RADIUS, end_radius=1e-4),
+    ]
+    if socket:
+        parts.append(rod([0.0, 0.0, 0.0], [0.0, 0.0, 0.008], socket, chamfer=1e-3))
+        parts.append(rod([0.0, 0.0, 0.008], [0.0, 0.0, 0.03], 0.3 * socket, _PROBE_RADIUS))
+    for part in parts:
+        part.apply_transform(frame.placement.homogeneous)
+    return body("probe", model.names[frame.parentJoint], _STEEL, *parts)
 
 
 def _share() -> Path:
@@ -64,13 +107,15 @@ def _locked(model: pin.Model, joints: tuple[str, ...]) -> pin.Model:
 
 @cache
 def _panda_drawing() -> Drawing:
-    return Drawing(_bodies(_PANDA, _FINGERS, linear=False))
+    probe = _probe_drawing(_PANDA, _FINGERS, _PANDA_HOLDER, socket=0.0)
+    return Drawing((*_bodies(_PANDA, _FINGERS, linear=False), probe))
 
 
 @cache
 def _ur5_drawing() -> Drawing:
     # These files were written with linear colours; shown as they are the arm would be near black.
-    return Drawing(_bodies(_UR5, (), linear=True))
+    probe = _probe_drawing(_UR5, (), _UR5_HOLDER, socket=0.025)
+    return Drawing((*_bodies(_UR5, (), linear=True), probe))
 
 
 def _bodies(urdf: str, locked: tuple[str, ...], linear: bool) -> tuple[Body, ...]:
