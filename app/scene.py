@@ -133,9 +133,8 @@ def anatomy(
     Raises:
         ValueError: unusable mesh or placement, with the reason.
     """
-    progress(f"loading the mesh {options.mesh}")
     with _caught_warnings() as caught:
-        mesh = meshes.arrays(options.mesh, unit=options.unit)
+        mesh = meshes.arrays(options.mesh, unit=options.unit, progress=progress)
     notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
     if options.damage != "none":
         mesh = damage(options.damage, mesh, options.seed)

@@ -3,7 +3,7 @@
 Everything that comes out of this package is in metres.
 """
 
-from meshes.catalogue import Entry, catalogue, names, planned_path
+from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
 from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, UNITS, arrays, load
@@ -25,6 +25,7 @@ __all__ = [
     "Placement",
     "Repaired",
     "UnitGuess",
+    "absent",
     "arrays",
     "catalogue",
     "display",

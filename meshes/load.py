@@ -6,6 +6,7 @@ import difflib
 import io
 import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from meshes import gltf, obj, threemf
-from meshes.catalogue import catalogue, names
+from meshes.catalogue import absent, catalogue, first_use
 from meshes.errors import MeshError, UnitGuess
 from meshes.shapes import Arrays
 from vf.surface import Surface
@@ -35,7 +36,12 @@ def load(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> Su
     return Surface.from_arrays(vertices, faces)
 
 
-def arrays(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> Arrays:
+def arrays(
+    name_or_path: str | os.PathLike[str],
+    *,
+    unit: str | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Arrays:
     """Vertices ``(n, 3)`` float64 [m] and faces ``(m, 3)`` int64 of a catalogue mesh or a file.
 
     A string that is a catalogue name means that mesh; for a file of that name write ``./name``.
@@ -51,20 +57,30 @@ def arrays(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> 
 
     Raises :class:`meshes.MeshError` with a one-line reason: unknown name or unit, missing, empty,
     oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
-    diagonal below 0.1 mm or above 10 m.
+    diagonal below 0.1 mm or above 10 m. ``progress`` is called with a few words before each step.
     """
-    return read(name_or_path, unit=unit)[0]
+    return read(name_or_path, unit=unit, progress=progress)[0]
 
 
-def read(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> tuple[Arrays, str]:
+def read(
+    name_or_path: str | os.PathLike[str],
+    *,
+    unit: str | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Arrays, str]:
     """The same as :func:`arrays`, and the unit the file is in: given, guessed or by its standard.
 
     The catalogue's meshes are in "m".
     """
     if unit is not None and unit not in UNITS:
         raise MeshError(f"unknown unit {unit!r}: choose one of {', '.join(UNITS)}")
+    say = progress or (lambda _stage: None)
+    say(f"loading the mesh {name_or_path}")
     if isinstance(name_or_path, str) and name_or_path in catalogue():
-        return catalogue()[name_or_path].make(), "m"
+        entry = catalogue()[name_or_path]
+        if first_use(entry):
+            say(f"making the mesh {entry.name} for the first time (kept for later runs)")
+        return entry.make(), "m"
     path = Path(name_or_path)
     _check_file(path, str(name_or_path))
     kind = path.suffix[1:].lower()
@@ -91,10 +107,12 @@ def _check_file(path: Path, given: str) -> None:
     if size is None:
         if path.suffix[1:].lower() in FORMATS or len(path.parts) > 1:
             raise MeshError(f"{given!r}: there is no such file")
-        near = difflib.get_close_matches(given.lower(), names(), n=1)
+        if given in absent():
+            raise MeshError(f"{given!r} is not on this machine: {absent()[given]}")
+        near = difflib.get_close_matches(given.lower(), catalogue(), n=1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         raise MeshError(
-            f"unknown mesh {given!r}{hint}: choose one of {', '.join(names())},"
+            f"unknown mesh {given!r}{hint}: choose one of {', '.join(catalogue())},"
             f" or give the path of a file ({formats})"
         )
     if not path.is_file():

@@ -128,16 +128,20 @@ def _list() -> int:
 
     table = Table(box=None, pad_edge=False)
     for title in ("name", "triangles", "size [mm]", "source", "licence", "about"):
-        table.add_column(title, justify="right" if title in ("triangles", "size [mm]") else "left")
+        table.add_column(
+            escape(title), justify="right" if title in ("triangles", "size [mm]") else "left"
+        )
     with _stages() as say:
         for entry in meshes.catalogue().values():
-            say(entry.name)
-            vertices, faces = entry.make()
+            vertices, faces = meshes.arrays(entry.name, progress=say)
             size = " × ".join(f"{1e3 * side:.3g}" for side in np.ptp(vertices, axis=0))
             table.add_row(
                 entry.name, f"{len(faces):,}", size, entry.source, entry.licence, entry.about
             )
-    _console().print(table)
+    console = _console()
+    console.print(table)
+    for name, remedy in meshes.absent().items():
+        console.print(f"not on this machine: {name}: {escape(remedy)}", soft_wrap=True)
     return SOUND
 
 

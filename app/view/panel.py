@@ -147,7 +147,7 @@ class Panel:
 
     def _scene_controls(self) -> None:
         scene = self._session.scene
-        known = tuple(meshes.names())
+        known = tuple(meshes.catalogue())
         if scene.mesh_name not in known:
             known = (*known, scene.mesh_name)
         with self._gui.add_folder("Scene"):

@@ -117,6 +117,7 @@ def test_list_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
     monkeypatch.setattr(meshes, "catalogue", lambda: few)
     assert main(["mesh", "list"]) == 0
     out = capsys.readouterr().out
+    assert "size [mm]" in out
     assert "9,670" in out
     assert "106 × 141 × 107" in out
     assert "Apache-2.0" in out

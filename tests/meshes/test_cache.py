@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import meshes
 from meshes import cache
+from meshes.catalogue import Entry
 from meshes.shapes import Arrays, torus
 
 
@@ -94,3 +96,16 @@ def test_a_new_recipe_has_a_new_file(folder: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(cache, "RECIPES", cache.RECIPES + 1)
     get()
     assert make.runs == 2
+
+
+def test_first_use_is_announced_and_later_ones_are_quick(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = Maker()
+    entry = Entry("slow", "Slow", cache.kept("slow", make), "here", "none", "Slow.", None, "slow")
+    monkeypatch.setattr("meshes.load.catalogue", lambda: {"slow": entry})
+    for uses in (1, 2):
+        said: list[str] = []
+        meshes.arrays("slow", progress=said.append)
+        assert any("for the first time" in text for text in said) == (uses == 1)
+    assert make.runs == 1
