@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +104,7 @@ def test_first_use_is_announced_and_later_ones_are_quick(
 ) -> None:
     make = Maker()
     entry = Entry("slow", "Slow", cache.kept("slow", make), "here", "none", "Slow.", None, "slow")
-    monkeypatch.setattr("meshes.load.catalogue", lambda: {"slow": entry})
+    monkeypatch.setattr(sys.modules["meshes.load"], "catalogue", lambda: {"slow": entry})
     for uses in (1, 2):
         said: list[str] = []
         meshes.arrays("slow", progress=said.append)

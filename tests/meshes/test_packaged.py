@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,6 @@ def test_what_is_not_on_this_machine_is_said_with_its_remedy(
     assert set(meshes.absent()) | set(meshes.catalogue()) >= everywhere
     assert not set(meshes.absent()) & set(meshes.catalogue())
     remedy = {"moon": "pip install 'vf-sandbox[space]'"}
-    monkeypatch.setattr("meshes.load.absent", lambda: remedy)
+    monkeypatch.setattr(sys.modules["meshes.load"], "absent", lambda: remedy)
     with pytest.raises(meshes.MeshError, match=r"'moon' is not on this machine: pip install.*spac"):
         meshes.load("moon")
