@@ -63,13 +63,16 @@ class Scene:
     autopilot: Autopilot
 
 
-def build(options: Options, version: int, progress: Progress | None = None) -> Scene:
+def build(
+    options: Options, version: int, progress: Progress | None = None, warm: bool = True
+) -> Scene:
     """Load arm and mesh, place the mesh under the tool, index it, find a free start.
 
     Takes up to some seconds for large meshes; touches nothing that runs.
 
     Args:
         progress: called with a few words before each step.
+        warm: whether to make the kernels of a tick ready too.
 
     Raises:
         ValueError: unknown robot, unusable mesh (`meshes.MeshError`) or no free spot for the
@@ -82,8 +85,9 @@ def build(options: Options, version: int, progress: Progress | None = None) -> S
 
     vertices, faces, T_base_mesh, notes = anatomy(options, T_base_tip, say)
 
-    say("preparing the kernels (the first start compiles them: up to a minute)")
-    _warm_up()
+    if warm:
+        say("preparing the kernels (the first start compiles them: up to a minute)")
+        _warm_up()
     say(f"building the tree of {len(faces):,} triangles")
     surface = vf.Surface.from_arrays(vertices, faces)
     if not surface.closed:

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+import robots
 import vf
+from app import aside
 from app import scene as scenes
 from app.engine import Orders
 from app.loop import ControlLoop
@@ -238,9 +240,7 @@ class Session:
         """Another mesh or robot: built aside while the old one runs, then swapped between ticks.
 
         The tool stays where it is if that is free space in the new scene, else it is put to the
-        new start; handle and proxy are put onto it. While a mesh of a million triangles is loaded
-        and thinned for the picture, libraries that keep the interpreter to themselves can hold up
-        ticks for up to a second: the tool then stands still, and overruns are counted.
+        new start; handle and proxy are put onto it.
 
         Args:
             mesh: catalogue name or path; None keeps the mesh (and its unit).
@@ -266,7 +266,9 @@ class Session:
             wanted.update(more)
             options = replace(self.options, **wanted)
             check_names(options)
-            new = scenes.build(options, self.scene.version + 1, progress)
+            stays = options.robot == self.scene.robot
+            arm = self.scene.arm.copy() if stays else robots.load(options.robot)
+            new = aside.build(options, self.scene.version + 1, arm, progress)
             with self._lock:
                 # Settings may have moved on while the scene was being built.
                 options = replace(self.options, **wanted)

@@ -38,6 +38,8 @@ def moments(tree: Tree, counts: NDArray[np.bool_]) -> Moments:
     weights = counts[tree.order].astype(np.float64)
     nodes = np.zeros((len(tree.boxes), 13))
     _moments(tree, weights, nodes)
+    # As all arrays of a surface: a kernel that met both kinds would be compiled for each.
+    nodes.flags.writeable = weights.flags.writeable = False
     return Moments(nodes, weights)
 
 
