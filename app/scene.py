@@ -26,6 +26,8 @@ from robots import Arm
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]
 
+DEFAULT_WIDTH = 1e-3  # of a corridor, as in the paper's experiments [m]
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -96,6 +98,12 @@ def build(
             "it has no inside, so it is guarded from both sides."
         )
 
+    path = _planned_path(options, T_base_mesh)
+    if path is not None:
+        corridor(surface, path, options.corridor or DEFAULT_WIDTH)  # refused now rather than later
+    elif options.corridor is not None:
+        notes.append("No path is planned on this mesh: there is no corridor.")
+
     say("preparing the picture")
     shown, faces_shown, decimated = meshes.display(vertices, faces)
     if decimated:
@@ -112,7 +120,7 @@ def build(
         mesh_name=Path(options.mesh).name,
         surface=surface,
         T_base_mesh=_read_only(T_base_mesh),
-        planned_path=_planned_path(options.mesh, T_base_mesh),
+        planned_path=path,
         vertices_shown=_read_only(shown),
         faces_shown=_read_only(faces_shown),
         decimated=decimated,
@@ -161,24 +169,39 @@ def anatomy(
     return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes
 
 
-def _planned_path(mesh: str, T_base_mesh: FloatArray) -> FloatArray | None:
-    entry = meshes.catalogue().get(mesh)
-    if entry is None or entry.path is None:
-        return None
-    return _read_only(meshes.transformed(T_base_mesh, entry.path()))
+def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | None:
+    """The path given by the user or known to the catalogue, arm base frame [m]."""
+    if options.path is not None:
+        path = meshes.read_path(options.path)
+    else:
+        entry = meshes.catalogue().get(options.mesh)
+        if entry is None or entry.path is None:
+            return None
+        path = entry.path()
+    return _read_only(meshes.transformed(T_base_mesh, path))
+
+
+def corridor(surface: vf.Surface, path: FloatArray, width: float) -> vf.CorridorFixture:
+    """The corridor of this width [m] along a path (k, 3) planned on a surface, as a cut into it."""
+    below = [surface.nearest(p)[1] for p in path]
+    return vf.CorridorFixture(path, vf.cutting_direction(path, surface.normals[below]), width)
 
 
 def plant(scene: Scene, options: Options) -> Plant:
     """A controller for this scene with these settings, ready to tick (takes milliseconds)."""
     arm = scene.arm.copy()
-    fixture = vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
+    fixtures: list[vf.Fixture] = [
+        vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
+    ]
+    if options.corridor is not None and scene.planned_path is not None:
+        fixtures.append(corridor(scene.surface, scene.planned_path, options.corridor))
     settings = vf.Settings(
         dt=options.dt,
         standoff=options.standoff,
         tip_radius=options.tip_radius,
         force_gain=options.force_gain,
     )
-    controller = vf.Controller(arm, [fixture], settings)
+    controller = vf.Controller(arm, fixtures, settings)
     # The solver's workspace is set up by the first tick: not one of the loop's.
     controller.step(scene.start, scene.T_base_start)
     return Plant(

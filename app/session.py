@@ -220,6 +220,20 @@ class Session:
         """Radius of the tool's spherical tip [m]."""
         return self._set(tip_radius=_clamped("tip_radius", radius)).tip_radius
 
+    def set_corridor(self, width: float | None) -> float | None:
+        """How far the tool may leave the planned path [m]; None lets it go anywhere.
+
+        A width that the path's bends do not allow is refused.
+        """
+        if width is not None:
+            width = _clamped("corridor", width)
+            if self.scene.planned_path is None:
+                raise Refused("no path is planned on this mesh: there is no corridor")
+        try:
+            return self._set(corridor=width).corridor
+        except ValueError as error:
+            raise Refused(str(error)) from None
+
     def set_scale(self, scale: float) -> float:
         """Proxy movement per handle movement, from here on: the proxy does not jump."""
         with self._lock:

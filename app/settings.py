@@ -18,18 +18,21 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 # The settings that say which mesh, and how it is prepared and placed; they change together.
-MESH = ("mesh", "unit", "at", "rotate", "up", "damage", "seed", "repair", "flip")
+MESH = ("mesh", "unit", "at", "rotate", "up", "damage", "seed", "repair", "flip", "path")
 
 # What a value may be; the panel clamps to these, the command line refuses what is outside.
 RANGES: dict[str, tuple[float, float]] = {
     "radius": (5e-5, 2e-2),  # [m]
     "standoff": (1e-6, 1e-3),  # [m]
     "tip_radius": (0.0, 5e-3),  # [m]
+    "corridor": (1e-4, 2e-2),  # [m]
     "scale": (0.05, 2.0),  # proxy metres per handle metre
     "force_gain": (0.0, 1000.0),  # [N/m]
     "rate": (10.0, 20_000.0),  # [Hz]
     "stale_after": (0.05, 10.0),  # [s]
 }
+
+LENGTHS = ("radius", "standoff", "tip_radius", "corridor")
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254}
 _LENGTH = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµμ]*)")
@@ -145,6 +148,16 @@ Radius = Annotated[
     ),
 ]
 
+Corridor = Annotated[
+    float | None,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="off|LENGTH",
+        instance_from_str=lambda words: None if words[0] == "off" else parse_length(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, float | int),
+        str_from_instance=lambda value: ["off" if value is None else format_length(value)],
+    ),
+]
 Point = Annotated[
     tuple[float, float, float] | None,
     PrimitiveConstructorSpec(
@@ -196,6 +209,11 @@ class Options:
     """Weld, drop what is no face, turn what is wound wrongly, before use; nothing is moved."""
     flip: bool = False
     """Turn open sheets over: they have no outside to be known by."""
+    path: str | None = None
+    """Text file with a planned path on the mesh: x y z in mm of the mesh's own axes, a point a
+    line. The skulls come with one."""
+    corridor: Corridor = None
+    """How far the tool may leave the planned path sideways, or off."""
     robot: str = "psm"
     """Arm that carries the tool: psm, point, panda or ur5."""
     rule: str = "certified"
@@ -227,7 +245,8 @@ class Options:
             if not low <= value <= high:
                 text = (
                     (format_length(value), format_length(low), format_length(high))
-                    if name in ("radius", "standoff", "tip_radius") and math.isfinite(value)
+                    if name in ("radius", "standoff", "tip_radius", "corridor")
+                    and math.isfinite(value)
                     else (f"{value:g}", f"{low:g}", f"{high:g}")
                 )
                 raise OptionError(f"{name} {text[0]} is outside {text[1]} to {text[2]}")

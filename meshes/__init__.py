@@ -7,6 +7,7 @@ from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
 from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, UNITS, arrays, load
+from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
 from meshes.save import WRITABLE, save
@@ -35,6 +36,7 @@ __all__ = [
     "place",
     "placement",
     "planned_path",
+    "read_path",
     "repair",
     "save",
     "transformed",

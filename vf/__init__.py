@@ -3,6 +3,7 @@
 from vf.closest import Feature, closest_point
 from vf.conditions import every_plane, paper_planes
 from vf.controller import Controller, Settings, Status, Step, Timings
+from vf.corridor import CorridorFixture, cutting_direction
 from vf.cover import certified_planes
 from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.haptics import force
@@ -15,6 +16,7 @@ __all__ = [
     "ConstrainedLeastSquares",
     "Contacts",
     "Controller",
+    "CorridorFixture",
     "Edge",
     "Feature",
     "Fixture",
@@ -30,6 +32,7 @@ __all__ = [
     "Timings",
     "certified_planes",
     "closest_point",
+    "cutting_direction",
     "every_plane",
     "force",
     "paper_planes",

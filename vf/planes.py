@@ -37,6 +37,7 @@ class Rule(IntEnum):
     RIDGE = 2  # Condition 2: normal along x minus the closest point
     VALLEY = 3  # Condition 3: face plane, closest point on a valley edge
     EXIT = 4  # the tool is inside the anatomy: only motion towards the way out
+    CORRIDOR = 5  # a wall of the corridor along a planned path
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Planes:
         normals: (m, 3) unit vectors to the allowed side.
         offsets: (m,) [m].
         points: (m, 3) the closest points that gave the planes [m].
-        triangles: (m,) index of the face that gave each plane.
+        triangles: (m,) index of the face that gave each plane; −1 where it was no face.
         rules: (m,) values of `Rule`.
         radius: the planes are valid for steps that end within this distance of x [m]: the
             radius asked for, or less where the plane budget was spent.

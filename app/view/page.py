@@ -20,6 +20,7 @@ from app.session import Session
 from app.view import camera, readouts
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
+from app.view.corridor import CorridorControl
 from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
@@ -33,7 +34,7 @@ FRAME = 1.0 / 30.0  # shortest time between two updates of the scene [s]
 READOUT = 0.25  # between two updates of the read-outs [s]
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = ()
+FEATURES: tuple[Maker, ...] = (CorridorControl,)
 
 
 class Page:

@@ -47,6 +47,7 @@ LOOKS: dict[vf.Rule, Look] = {
     vf.Rule.VALLEY: Look(GREEN, "Condition 3, valley", "the face continues beyond its edge"),
     vf.Rule.NAIVE: Look(PURPLE, "no condition", "every face in the sphere, as in rule “all”"),
     vf.Rule.EXIT: Look(YELLOW, "way out", "the tool is inside: only outward motion passes"),
+    vf.Rule.CORRIDOR: Look(VERMILION, "corridor", "a wall along the planned path"),
 }
 
 RULE_HELP: dict[str, str] = {

@@ -1,0 +1,99 @@
+"""Part of the page: the planned path, the walls of the corridor along it, and its width."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.messages import Telemetry
+from app.scene import DEFAULT_WIDTH, Scene, corridor
+from app.settings import RANGES
+from app.view import palette
+from app.view.feature import Stage
+from app.view.units import to_buffer
+
+HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
+BEYOND = 3e-3  # of the drawn walls before and after the path [m]
+
+
+class CorridorControl:
+    """Switch and width of the corridor; there is nothing to switch where no path is planned."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._session, self._hand, self._tell = stage.session, stage.hand, stage.tell
+        self._api = stage.server.scene
+        self._drawn: tuple[int, float | None] | None = None
+        low, high = RANGES["corridor"]
+        with stage.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
+            self._on = stage.server.gui.add_checkbox(
+                "Stay by the path", False, hint="The tool may leave the planned path only so far."
+            )
+            self._width = stage.server.gui.add_number(
+                "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low * 1e3, max=high * 1e3, step=0.1
+            )
+        self._controls: tuple[Any, Any] = (self._on, self._width)
+        for control in self._controls:
+            control.on_update(self._updated)
+
+    def set_scene(self, scene: Scene) -> None:
+        self._folder.visible = scene.planned_path is not None
+        self._drawn = None
+
+    def frame(self, telemetry: Telemetry) -> None:
+        scene, width = self._session.scene, self._session.options.corridor
+        if self._drawn == (scene.version, width):
+            return
+        self._drawn = (scene.version, width)
+        path = scene.planned_path
+        lines = np.zeros((1, 2, 3)) if path is None else np.stack([path[:-1], path[1:]], axis=1)
+        self._api.add_line_segments(
+            "/corridor/path",
+            points=to_buffer(lines),
+            colors=palette.VERMILION,
+            thickness=3.0,
+            thickness_units="screen",
+            visible=path is not None,
+        )
+        walls = None
+        if path is not None and width is not None:
+            walls = corridor(scene.surface, path, width).ribbons(HALF_HEIGHT, BEYOND)
+        for side, name in enumerate(("left", "right")):
+            self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
+
+    def read_out(self, telemetry: Telemetry) -> None:
+        width, (switch, number) = self._session.options.corridor, self._controls
+        if switch.value != (width is not None):
+            switch.value = width is not None
+        if width is not None and not math.isclose(number.value, width * 1e3, rel_tol=1e-6):
+            number.value = float(f"{width * 1e3:.6g}")
+
+    async def _updated(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:  # None: we set it ourselves
+            self._hand.submit(self._take, event.client, self._on.value, self._width.value)
+
+    def _take(self, client: viser.ClientHandle, on: object, width: object) -> None:
+        try:
+            self._session.set_corridor(float(width) * 1e-3 if on else None)  # type: ignore[arg-type]
+        except (ValueError, TypeError, OverflowError) as error:
+            self._tell(client, f"{error}")
+
+    def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
+        visible = corners is not None
+        quads = np.zeros((1, 4, 3)) if corners is None else corners
+        halves = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
+        faces = (4 * np.arange(len(quads), dtype=np.uint32)[:, None, None] + halves).reshape(-1, 3)
+        self._api.add_mesh_simple(
+            name,
+            vertices=to_buffer(quads.reshape(-1, 3)),
+            faces=faces,
+            color=palette.VERMILION,
+            opacity=0.25,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=visible,
+        )
