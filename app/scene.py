@@ -200,6 +200,7 @@ def plant(scene: Scene, options: Options) -> Plant:
         standoff=options.standoff,
         tip_radius=options.tip_radius,
         force_gain=options.force_gain,
+        tip_speed=options.tip_speed,
     )
     controller = vf.Controller(arm, fixtures, settings)
     # The solver's workspace is set up by the first tick: not one of the loop's.

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 import robots
 import vf
@@ -23,7 +24,7 @@ from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
 from app.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, check_names, in_range
-from app.teleop import latch
+from app.teleop import Teleop, latch
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
 DEFAULTS = Options()
@@ -69,7 +70,7 @@ class Session:
         self._loop = ControlLoop(self._inbox, self._outbox, options.dt)
         self._clutched = False
         self.handle = pin.SE3(self.scene.T_base_start)
-        self._teleop = latch(options.scale, self.handle, self.handle)
+        self._teleop = self._latched(self.handle)
 
     def __enter__(self) -> Session:
         self.start()
@@ -138,6 +139,20 @@ class Session:
         finally:
             self._lock.release()
 
+    def nudge(self, shift: ArrayLike) -> None:
+        """Move the handle by shift (3,) [m], base frame, and no farther; ends the autopilot.
+
+        Raises:
+            Refused: not three finite numbers, or it leads too far away. Nothing moves then.
+        """
+        shift = np.asarray(shift, dtype=np.float64)
+        if shift.shape != (3,) or not np.isfinite(shift).all():
+            raise Refused(f"a nudge is three finite lengths, not {shift.tolist()}")
+        with self._lock:
+            if self._orders.autopilot:
+                self.set_autopilot(False)
+            self.drive(pin.SE3(self.handle.rotation, self.handle.translation + shift))
+
     def recall(self) -> None:
         """Put handle and proxy back onto the tool; ends the autopilot."""
         with self._lock:
@@ -176,7 +191,7 @@ class Session:
         """Put the tool back to the scene's start, and handle and proxy onto it."""
         with self._lock:
             self.handle = pin.SE3(self.scene.T_base_start)
-            self._teleop = latch(self.options.scale, self.handle, self.handle)
+            self._teleop = self._latched(self.handle)
             self._clutched = False
             self._command(None, autopilot=False, resets=self._orders.resets + 1)
 
@@ -192,7 +207,7 @@ class Session:
             target = self.latest().target
             if target is not None:
                 self.handle = pin.SE3(target)
-                self._teleop = latch(self.options.scale, self.handle, self.handle)
+                self._teleop = self._latched(self.handle)
             self._command(target, autopilot=False)
             return on
 
@@ -239,9 +254,21 @@ class Session:
         with self._lock:
             scale = _clamped("scale", scale)
             proxy = self._teleop.proxy(self.handle)
-            self._teleop = latch(scale, self.handle, proxy)
             self.options = replace(self.options, scale=scale)
+            self._teleop = self._latched(proxy)
             return scale
+
+    def set_orientation_lock(self, on: bool) -> bool:
+        """Keep the proxy's present orientation, whatever the handle's is; off: no jump either."""
+        with self._lock:
+            proxy = self._teleop.proxy(self.handle)
+            self.options = replace(self.options, lock_orientation=bool(on))
+            self._teleop = self._latched(proxy)
+            return bool(on)
+
+    def set_tip_speed(self, speed: float) -> float:
+        """Fastest motion of the tool's tip [m/s]; a property of every tick from the next one on."""
+        return self._set(tip_speed=_clamped("tip_speed", speed)).tip_speed
 
     def change(
         self,
@@ -297,6 +324,11 @@ class Session:
 
     # Inner workings; callers hold the lock
 
+    def _latched(self, proxy: pin.SE3) -> Teleop:
+        """The map that takes the present handle to this proxy, by the present settings."""
+        options = self.options
+        return latch(options.scale, self.handle, proxy, options.lock_orientation)
+
     def _order(self, **changes: Any) -> None:
         with self._lock:
             self._orders = replace(self._orders, **changes)
@@ -334,7 +366,7 @@ class Session:
         tool = self._tool()
         if handle_too:
             self.handle = tool
-        self._teleop = latch(self.options.scale, self.handle, tool)
+        self._teleop = self._latched(tool)
 
     def _await_scene(self, timeout: float = 5.0) -> None:
         """Wait until the loop runs in the present scene, to learn where the tool is in it."""

@@ -27,6 +27,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "tip_radius": (0.0, 5e-3),  # [m]
     "corridor": (1e-4, 2e-2),  # [m]
     "scale": (0.05, 2.0),  # proxy metres per handle metre
+    "tip_speed": (1e-3, 2.0),  # [m/s]
     "force_gain": (0.0, 1000.0),  # [N/m]
     "rate": (10.0, 20_000.0),  # [Hz]
     "stale_after": (0.05, 10.0),  # [s]
@@ -232,6 +233,10 @@ class Options:
     """Radius of a spherical tool tip."""
     scale: float = 1.0
     """Teleoperation scale: movement of the proxy per movement of the handle."""
+    lock_orientation: bool = False
+    """Teleoperation keeps the tool's orientation, whatever the handle's is, as in the paper."""
+    tip_speed: float = 2.0
+    """The tool's tip goes no faster than this [m/s]; the joints have speed limits of their own."""
     force_gain: float = 150.0
     """Simulated haptic stiffness [N/m]."""
     stale_after: float = 0.5

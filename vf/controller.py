@@ -62,9 +62,11 @@ class Settings:
         damping: λ, weighs joint motion [m²].
         force_gain: haptic stiffness K [N/m].
         force_cap: largest haptic force [N].
+        tip_speed: a tick moves the tip by tip_speed × dt at most [m/s]; inf: only the joints' own
+            speed limits count.
 
     Raises:
-        ValueError: a value that is not finite or out of its range.
+        ValueError: a value that is not finite (but for `tip_speed`) or out of its range.
     """
 
     dt: float = 1e-3
@@ -74,11 +76,14 @@ class Settings:
     damping: float = 1e-7
     force_gain: float = 150.0
     force_cap: float = 4.0
+    tip_speed: float = inf
 
     def __post_init__(self) -> None:
-        strict = {"dt", "standoff", "rotation_length", "damping"}
+        strict = {"dt", "standoff", "rotation_length", "damping", "tip_speed"}
         for field in fields(self):
             value = getattr(self, field.name)
+            if field.name == "tip_speed" and value == inf:
+                continue
             if not isfinite(value) or value < 0.0 or (value == 0.0 and field.name in strict):
                 kind = "positive" if field.name in strict else "zero or more"
                 raise ValueError(f"{field.name} must be finite and {kind}, got {value!r}")
@@ -143,6 +148,7 @@ class Controller:
         self.settings = settings or Settings()
         n = len(arm.lower)
         self._reach = arm.velocity * self.settings.dt
+        self._tip_reach = self.settings.tip_speed * self.settings.dt
         self._horizon = LOOK_AHEAD * self._reach
         self._qp = ConstrainedLeastSquares(n)
         self._task = np.empty((6, n))
@@ -296,12 +302,12 @@ class Controller:
     ) -> tuple[FloatArray, pin.SE3, float]:
         """Joint positions whose true tip obeys every plane and the ball, its pose, and the share.
 
-        The optimum is first shortened, all joints alike, to what they can do in a tick: it obeys
-        the rows at any length, and the tip heads for where it will end. Tried in this order: that;
-        the same with the rows moved by the linearisation error just seen; ever shorter parts of it;
-        standing still.
+        The optimum is first shortened, all joints alike, to what they can do in a tick and what
+        the tip may: it obeys the rows at any length, and the tip heads for where it will end.
+        Tried in this order: that; the same with the rows moved by the linearisation error just
+        seen; ever shorter parts of it; standing still.
         """
-        paced = pace(solution.dq, self._reach)
+        paced = pace(solution.dq, self._reach, J, self._tip_reach)
         dq = paced * solution.dq
         if not dq.any():
             return q, T, 1.0
@@ -311,7 +317,8 @@ class Controller:
         error = T_new.translation - x - J[:3] @ dq
         second = self._solve(rows, (bounds - planes.normals @ error) / paced)
         if second.solver is not Solver.INFEASIBLE:
-            q_second = q + pace(second.dq, self._reach) * second.dq
+            share = pace(second.dq, self._reach, J, self._tip_reach)
+            q_second = q + share * second.dq
             T_new = self.arm.tip(q_second)
             if self._allowed(T_new, x, planes, inside):
                 return q_second, T_new, 1.0

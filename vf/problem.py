@@ -177,12 +177,26 @@ def assemble(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def pace(dq, reach):  # type: ignore[no-untyped-def]
-    """Largest share ≤ 1 of the joint step dq (n,) with every joint within its reach (n,)."""
+def pace(dq, reach, J, tip_reach):  # type: ignore[no-untyped-def]
+    """Largest share ≤ 1 of the joint step dq (n,) that fits into a tick.
+
+    Every joint stays within its reach (n,), and the tip (Jacobian J (6, n), linear rows first)
+    within tip_reach [m], which may be inf.
+    """
     share = 1.0
     for j in range(dq.shape[0]):
         if abs(dq[j]) * share > reach[j]:
             share = reach[j] / abs(dq[j])
+    if tip_reach < np.inf:
+        square = 0.0
+        for i in range(3):
+            v = 0.0
+            for j in range(dq.shape[0]):
+                v += J[i, j] * dq[j]
+            square += v * v
+        length = np.sqrt(square)  # [m]
+        if share * length > tip_reach:
+            share = tip_reach / length
     return share
 
 

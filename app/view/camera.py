@@ -31,9 +31,14 @@ class View:
 
 def site_view(scene: Scene, p_tip: FloatArray) -> View:
     """Wrist, tip, motion sphere and what lies under them: the first sight; p_tip (3,) [m]."""
-    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
-    half_height = max(half_height, 2.0 * _girth(scene))
+    half_height = site_half_height(scene)
     return _framing(p_tip - np.array([0.0, 0.0, 0.3 * half_height]), half_height)
+
+
+def site_half_height(scene: Scene) -> float:
+    """Half of what `site_view` shows from top to bottom [m]."""
+    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
+    return max(half_height, 2.0 * _girth(scene))
 
 
 def anatomy_view(scene: Scene) -> View:
@@ -72,6 +77,61 @@ def tool_view(step: vf.Step) -> View:
     # Thirty-five degrees above the surface: lower, and a curved one hides the tip.
     direction = 0.57 * normal + 0.82 * along / np.linalg.norm(along)
     return View(p_tip + np.linalg.norm(view.eye - p_tip) * direction, p_tip)
+
+
+def surgeon_view(step: vf.Step) -> View:
+    """As through an endoscope beside the instrument: down along it, from its back, at the tip."""
+    p_tip = np.array(step.tip.translation)
+    towards_wrist = -np.array(step.tip.rotation[:, 2])
+    # An endoscope stands beside the instrument on the side the page looks from, 35° off its axis.
+    aside = DIRECTION - (DIRECTION @ towards_wrist) * towards_wrist
+    length = float(np.linalg.norm(aside))
+    aside = aside / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    direction = np.cos(np.deg2rad(35.0)) * towards_wrist + np.sin(np.deg2rad(35.0)) * aside
+    # Straight up and down there is no level horizon to hold the camera by.
+    if np.linalg.norm(direction[:2]) < 0.1:
+        direction = direction + 0.1 * np.array([*DIRECTION[:2], 0.0])
+        direction = direction / np.linalg.norm(direction)
+    return View(p_tip + 0.07 * direction, p_tip)
+
+
+class Following:
+    """Cameras that keep the tool in their middle, and are still turned and zoomed by hand."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, FloatArray] = {}  # by client: the tip when last moved [m]
+
+    @property
+    def clients(self) -> tuple[int, ...]:
+        """Whose cameras follow."""
+        return tuple(self._last)
+
+    def start(self, client_id: int, p_tip: FloatArray) -> None:
+        """Follow from here; p_tip (3,) [m]."""
+        self._last[client_id] = np.array(p_tip)
+
+    def stop(self, client_id: int) -> None:
+        """Let the camera stand."""
+        self._last.pop(client_id, None)
+
+    def update(self, clients: dict[int, viser.ClientHandle], p_tip: FloatArray) -> None:
+        """Move the cameras after the tool; p_tip (3,) [m]."""
+        for client_id, last in tuple(self._last.items()):
+            client = clients.get(client_id)
+            if client is None:
+                self.stop(client_id)
+                continue
+            # Where a client says its camera is may be older than what it was told last; from where
+            # to where it looks, the one thing that is its own, is right all the same.
+            away = client.camera.position - client.camera.look_at
+            # What is less than a pixel or two is not worth a message.
+            moved = np.linalg.norm(to_view(p_tip - last))
+            if moved < 2e-3 * np.linalg.norm(away) or client_id not in self._last:
+                continue
+            self._last[client_id] = np.array(p_tip)
+            with client.atomic():
+                client.camera.position = to_view(p_tip) + away
+                client.camera.look_at = to_view(p_tip)
 
 
 def compose_first_sight(server: viser.ViserServer, view: View) -> None:

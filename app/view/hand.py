@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,6 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.session import Session
+from app.view import who
 from app.view.proxy import Proxy
 from app.view.units import pose_from_view, same_pose
 
@@ -28,6 +30,9 @@ class Hand:
     it meanwhile is not acted upon, and their gizmo is put right when they let go. A client that
     vanishes in mid-drag leaves a held command behind, which the loop lets go stale: the tool
     holds until somebody takes over.
+
+    Attributes:
+        moved: set whenever the handle was moved, for the view thread to draw at once.
     """
 
     def __init__(self, session: Session, server: viser.ViserServer, proxy: Proxy, tell: Tell):
@@ -40,6 +45,7 @@ class Hand:
         self._owner: int | None = None  # written by the worker only
         self._shown: pin.SE3 | None = session.handle  # where the gizmo is on the clients' pages
         self._complained = False
+        self.moved = threading.Event()
 
         @proxy.gizmo.on_update
         async def _moved(event: viser.TransformControlsEvent) -> None:
@@ -61,6 +67,17 @@ class Hand:
     def dragging(self) -> bool:
         """Whether some client has the gizmo in its hand."""
         return self._owner is not None
+
+    @property
+    def owner(self) -> int | None:
+        """The client that has the gizmo in its hand."""
+        return self._owner
+
+    @property
+    def name_of_owner(self) -> str:
+        """What everybody calls the client that drags."""
+        owner = self._owner
+        return "nobody" if owner is None else who.name(owner)
 
     def tend(self, target: pin.SE3 | None, autopilot: bool) -> None:
         """From the view thread, each frame: keep a resting drag alive, the gizmo in its place."""
@@ -102,7 +119,11 @@ class Hand:
                 self._session.set_autopilot(False)
         if self._owner != client_id:
             if phase == "start":
-                self._tell(client, "Somebody else drags the gizmo: wait until they let go.")
+                self._tell(
+                    client,
+                    f"Another client is dragging: {self.name_of_owner} has the proxy until it "
+                    "lets go.",
+                )
             self._shown = None
             return
         if phase == "end" and client_id not in self._server.get_clients():
@@ -112,6 +133,7 @@ class Hand:
             handle = pose_from_view(wxyz, position)
             self._session.drive(handle, held=phase != "end")
             self._shown = handle
+            self.moved.set()
         except ValueError as error:
             self._shown = None  # put back to where the session has it once let go
             if not self._complained:

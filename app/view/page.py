@@ -17,24 +17,31 @@ from numpy.typing import NDArray
 from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.messages import Telemetry
 from app.session import Session
-from app.view import camera, readouts
+from app.view import camera, readouts, who
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
 from app.view.corridor import CorridorControl
+from app.view.depth import signed_distance
 from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
-from app.view.panel import Panel, Readouts
+from app.view.keys import Keys
+from app.view.panel import WHO, Panel, Readouts
 from app.view.proxy import Proxy
+from app.view.ruler import Rulers
+from app.view.signals import Signals
 from app.view.tool import Tool
 
 log = logging.getLogger(__name__)
 
 FRAME = 1.0 / 30.0  # shortest time between two updates of the scene [s]
 READOUT = 0.25  # between two updates of the read-outs [s]
+# After a drag the scene is drawn at once, but no sooner than this after the frame before [s]; the
+# control thread has then had its tick, and viser has sent that frame.
+PROMPT = 0.008
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (CorridorControl,)
+FEATURES: tuple[Maker, ...] = (Signals, CorridorControl)
 
 
 class Page:
@@ -66,17 +73,21 @@ class Page:
         _light(api)
         self._scene_version = -1
         self._anatomy = Anatomy(api)
+        self._rulers = Rulers(api)
         self._arm = ArmDrawing(api)
         self._fixture = FixtureDrawing(api)
         self._tool = Tool(api)
         self._proxy = Proxy(api, session.handle)
         self._hand = Hand(session, server, self._proxy, self._tell)
+        self._following = camera.Following()
         self._panel = Panel(server, session, self._hand, self._tell, self._look, self._layers())
+        self._who = who.Who(server, WHO)
+        Keys(server, session, self._hand, self._tell)
         self._readouts = Readouts(server)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(345)
         self._readouts.panel.dock_left()
-        self._readouts.panel.set_width(262)
+        self._readouts.panel.set_width(270)
         stage = Stage(server, session, self._hand, self._tell, self._readouts.panel)
         self._features: list[Feature] = [make(stage) for make in FEATURES]
 
@@ -125,6 +136,7 @@ class Page:
         if self._stop.is_set():
             return
         self._stop.set()
+        self._hand.moved.set()
         self._thread.join()
         self._hand.close()
         with _quiet_console():
@@ -133,7 +145,10 @@ class Page:
     def _run(self) -> None:
         prefer_this_thread(VIEW_PRIORITY)
         due = time.monotonic()
-        while not self._stop.wait(FRAME):
+        while not self._stop.is_set():
+            if self._hand.moved.wait(FRAME):
+                self._stop.wait(PROMPT)
+                self._hand.moved.clear()
             try:
                 if not self._server.get_clients():
                     self._hand.tend(None, False)
@@ -162,6 +177,9 @@ class Page:
             if scene.version != self._scene_version:
                 self._adopt()
             self._hand.tend(telemetry.target, telemetry.autopilot)
+            clients, owner = self._server.get_clients(), self._hand.owner
+            self._who.update(owner)
+            self._proxy.lock_rotation(options.lock_orientation)
             if telemetry.scene != scene.version:
                 return  # the loop has not swapped yet
             self._arm.update(telemetry.q)
@@ -172,7 +190,9 @@ class Page:
                 tip, force = step.tip, step.force
                 self._fixture.update(step, scene.surface)
             self._tool.update(tip.translation, options.tip_radius, force)
-            self._proxy.update(self._handle(telemetry), telemetry.target, tip.translation)
+            holder = self._hand.name_of_owner if owner is not None and len(clients) > 1 else ""
+            self._proxy.update(self._handle(telemetry), telemetry.target, tip.translation, holder)
+            self._following.update(clients, np.array(tip.translation))
             for feature in self._features:
                 feature.frame(telemetry)
 
@@ -186,13 +206,15 @@ class Page:
         """Draw another scene, and look at it."""
         scene = self._session.scene
         self._anatomy.set_scene(scene)
+        self._rulers.set_scene(scene, camera.site_half_height(scene))
         self._arm.set_scene(scene)
         for feature in self._features:
             feature.set_scene(scene)
         view = camera.site_view(scene, scene.T_base_start.translation)
         camera.compose_first_sight(self._server, view)
         if self._scene_version >= 0:
-            for client in self._server.get_clients().values():
+            for client_id, client in self._server.get_clients().items():
+                self._following.stop(client_id)
                 camera.move(client, view)
         self._scene_version = scene.version
 
@@ -200,10 +222,12 @@ class Page:
         session, telemetry = self._session, self._session.latest()
         scene, step = session.scene, telemetry.step
         joints = tuple(scene.arm.joints)
-        in_sphere, speed = 0, 0.0
+        in_sphere, speed, signed = 0, 0.0, None
         if step is not None and telemetry.scene == scene.version:
             p_tip = np.array(step.tip.translation)
             in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
+            if session.options.rule == "off":
+                signed = signed_distance(scene.surface, p_tip)
             before = self._before
             if before is not None and self._tip_before is not None:
                 elapsed = telemetry.time - before.time
@@ -214,7 +238,8 @@ class Page:
         if telemetry is not self._newest:  # also a paused loop says something each tick
             self._newest, self._newest_since = telemetry, now
         self._count += 1
-        extras = readouts.Extras(in_sphere, speed, joints, now - self._newest_since, self._count)
+        silent = now - self._newest_since
+        extras = readouts.Extras(in_sphere, speed, joints, silent, self._count, signed)
         options, clutched = session.options, session.clutched
         with self._server.atomic():
             self._readouts.show(readouts.readouts(telemetry, options, extras))
@@ -224,18 +249,27 @@ class Page:
                 feature.read_out(telemetry)
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
-        """Move one client's camera to a preset."""
+        """Move one client's camera to a preset; "Follow" also lets it go along, or stop that."""
         scene, step = self._session.scene, self._session.latest().step
+        followed = client.client_id in self._following.clients
+        self._following.stop(client.client_id)
+        if name == "Follow" and followed:
+            return
         if name == "Arm":
             view = camera.arm_view(scene, scene.start)
         elif name == "Anatomy":
             view = camera.anatomy_view(scene)
-        elif name == "Tool" and step is not None:
+        elif name in ("Tool", "Follow") and step is not None:
             view = camera.tool_view(step)
+        elif name == "Surgeon" and step is not None:
+            view = camera.surgeon_view(step)
         else:
             tip = scene.T_base_start if step is None else step.tip
             view = camera.site_view(scene, np.array(tip.translation))
         camera.move(client, view)
+        if name == "Follow" and step is not None:
+            self._following.start(client.client_id, np.array(step.tip.translation))
+            self._tell(client, "The camera follows the tool. Follow again, or F, lets it stand.")
 
     def _tell(self, client: viser.ClientHandle | None, text: str) -> None:
         """A notification on one client's page."""
@@ -260,7 +294,7 @@ class Page:
 
         def names(on: bool) -> None:
             self._proxy.show_labels(on)
-            self._anatomy.show_ruler(on)
+            self._rulers.show(on)
 
         return {
             "Anatomy": (True, self._anatomy.show),

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import viser
 
@@ -16,8 +16,9 @@ import robots
 import vf
 from app.session import Session
 from app.settings import RANGES
-from app.view import palette, readouts
+from app.view import palette, readouts, style
 from app.view.hand import Hand, Tell
+from app.view.help import Help
 
 RADII: dict[str, float | None] = {
     "auto": None,
@@ -29,12 +30,17 @@ RADII: dict[str, float | None] = {
 CUSTOM = "other"
 
 Look = Callable[[viser.ClientHandle, str], None]
-VIEWS = ("Arm", "Anatomy", "Site", "Tool")
+VIEWS = ("Arm", "Anatomy", "Site")
+CLOSE_UPS = ("Tool", "Follow", "Surgeon")
+FOLLOW_KEY: Final = "F"
+
+# Places of the first lines of the panel; everything else comes behind, in the order it is made.
+_TITLE_LINE, WHO, _BANNER_LINE, _HELP_LINE = -4.0, -3.0, -2.0, -1.0
 
 _TITLE = (
-    "<div style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;color:#333'>"
-    "Drag the gizmo (the proxy) into the bone: the tool follows until the fixture’s planes "
-    "stop it.</div>"
+    "<div class='vf-title' style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;"
+    "color:#333'>Drag the gizmo (the proxy) into the bone: the tool follows until the fixture’s "
+    "planes stop it.</div>"
 )
 _NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:#666"
 
@@ -59,13 +65,14 @@ class Panel:
         self._building = threading.Lock()
         self._note: str | None = None
         self._autopilot_asked = 0.0  # monotonic time [s]
-        self._gui.add_html(_TITLE)
-        self._banner = self._gui.add_html("")
+        self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
+        self._banner = self._gui.add_html("", order=_BANNER_LINE)
+        Help(server, hand, _HELP_LINE)
         self._drive_controls()
         self._fixture_controls()
         self._scene_controls()
-        self._teleop_controls()
         self._view_controls(layers)
+        self._teleop_controls()
         self.sync()
 
     def set_banner(self, text: str) -> None:
@@ -88,6 +95,8 @@ class Panel:
         if time.monotonic() > self._autopilot_asked + 0.5:  # else the loop may not have seen it
             _show(self._autopilot, telemetry.autopilot)
         _show(self._clutch, self._session.clutched)
+        _show(self._lock, options.lock_orientation)
+        _show(self._tip_speed, options.tip_speed * 1e3)
         if self._building.locked():
             return
         scene = self._session.scene
@@ -184,6 +193,20 @@ class Panel:
             self._clutch = self._gui.add_checkbox(
                 "Clutch", False, hint="Pressed: the handle moves alone, the tool holds."
             )
+            self._lock = self._gui.add_checkbox(
+                "Lock orientation",
+                session.options.lock_orientation,
+                hint="The tool keeps its orientation, as in the paper’s study.",
+            )
+            low, high = RANGES["tip_speed"]
+            self._tip_speed = self._gui.add_number(
+                "Speed [mm/s]",
+                session.options.tip_speed * 1e3,
+                min=low * 1e3,
+                max=high * 1e3,
+                step=5.0,
+                hint="The tool’s tip goes no faster; the arm’s joints have limits of their own.",
+            )
             low, high = RANGES["force_gain"]
             self._gain = self._gui.add_number(
                 "Force [N/m]",
@@ -195,19 +218,37 @@ class Panel:
             )
         self._bind(self._scale, lambda value: session.set_scale(_number(value)))
         self._bind(self._clutch, lambda value: session.clutch(bool(value)))
+        self._bind(self._lock, lambda value: session.set_orientation_lock(bool(value)))
+        self._bind(self._tip_speed, lambda value: session.set_tip_speed(_number(value) * 1e-3))
         self._bind(self._gain, lambda value: session.set_force_gain(_number(value)))
 
     def _view_controls(self, layers: dict[str, tuple[bool, Callable[[bool], None]]]) -> None:
         with self._gui.add_folder("View"):
-            views = self._gui.add_button_group("Look at", VIEWS)
+            for label, hint, views in (
+                ("Look at", "The whole arm, the anatomy, or where the tool is at work.", VIEWS),
+                (
+                    "Close-up",
+                    f"Follow (key {FOLLOW_KEY}) goes along with the tool; again: no more. Surgeon "
+                    "looks as through an endoscope.",
+                    CLOSE_UPS,
+                ),
+            ):
+                group = self._gui.add_button_group(label, views, hint=hint)
 
-            @views.on_click
-            async def _views(event: viser.GuiEvent[Any]) -> None:
-                if event.client is not None:
-                    self._hand.submit(self._look, event.client, str(event.target.value))
+                @group.on_click
+                async def _views(event: viser.GuiEvent[Any]) -> None:
+                    if event.client is not None:
+                        self._hand.submit(self._look, event.client, str(event.target.value))
 
-            for name, (shown, switch) in layers.items():
-                self._layer(name, shown, switch)
+            with self._gui.add_folder("Layers", expand_by_default=False):
+                for name, (shown, switch) in layers.items():
+                    self._layer(name, shown, switch)
+        follow = self._gui.add_command("Camera: follow the tool, or stop it", hotkey=FOLLOW_KEY)
+
+        @follow.on_trigger
+        async def _follow(event: Any) -> None:
+            if event.client is not None:
+                self._hand.submit(self._look, event.client, "Follow")
 
     def _buttons(self, label: str, hint: str, orders: dict[str, Callable[[], None]]) -> None:
         group = self._gui.add_button_group(label, tuple(orders), hint=hint)

@@ -71,13 +71,27 @@ class Proxy:
         """Put the gizmo somewhere; not while it is being dragged."""
         self.gizmo.wxyz, self.gizmo.position = pose_to_view(handle)
 
-    def update(self, handle: pin.SE3, target: pin.SE3 | None, p_tip: NDArray[np.float64]) -> None:
-        """Handle pose as the session knows it, the proxy (None: none), the tool tip (3,) [m]."""
+    def lock_rotation(self, locked: bool) -> None:
+        """Take the rings off a gizmo that turns nothing."""
+        if self.gizmo.disable_rotations != locked:
+            self.gizmo.disable_rotations = locked
+
+    def update(
+        self,
+        handle: pin.SE3,
+        target: pin.SE3 | None,
+        p_tip: NDArray[np.float64],
+        holder: str = "",
+    ) -> None:
+        """Handle pose as the session knows it, the proxy (None: none), the tool tip (3,) [m].
+
+        `holder` is who drags it, if that is to be said.
+        """
         apart = target is not None and bool(
             np.abs(target.translation - handle.translation).max() > TAUT
         )
         self._name.position = to_view(handle.translation)
-        self._name.text = "handle" if apart else "proxy"
+        self._name.text = ("handle" if apart else "proxy") + (f" · {holder}" if holder else "")
         self._name.visible = self._show_labels
         goal = handle if target is None else target
         self._ball.visible = apart

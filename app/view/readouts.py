@@ -43,6 +43,7 @@ class Extras:
         joints: names of the arm's joints.
         silent: for how long the control loop has said nothing new [s].
         count: of the read-outs so far; makes each one's HTML another.
+        signed: distance of the tip to the surface, negative inside, if no fixture measures it [m].
     """
 
     in_sphere: int
@@ -50,6 +51,7 @@ class Extras:
     joints: tuple[str, ...]
     silent: float = 0.0
     count: int = 0
+    signed: float | None = None
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -61,8 +63,13 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
     else:
         beyond = not np.isfinite(step.distance)
         distance = f"> {step.radius * 1e3:.2f}" if beyond else f"{step.distance * 1e3:.3f}"
+        depth = "–"  # the fixture keeps the tool out
+        if extras.signed is not None:
+            distance = f"{abs(extras.signed) * 1e3:.3f}"
+            depth = f"{max(-extras.signed, 0.0) * 1e3:.3f}"
         rows += [
             _row("distance to surface", distance, "mm"),
+            _row("depth below surface", depth, "mm"),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
             _row("simulated force", f"{np.linalg.norm(step.force):.2f}", "N"),
@@ -107,7 +114,9 @@ def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: boo
     text, color = _state(telemetry, options, extras, clutched)
     return (
         f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
-        f"background:#f3f3f3;color:#222;font-size:12.5px;min-height:1.6em'>{html.escape(text)}</div>"
+        "background:#f3f3f3;color:#222;font-size:12.5px;line-height:1.35;"
+        # Always two lines high, so that no button moves from under the mouse.
+        f"min-height:calc(2.7em + 6px)'>{html.escape(text)}</div>"
     )
 
 
@@ -171,6 +180,8 @@ def _state(
     if at_limit:
         return f"Joint limit: {', '.join(at_limit)}.", orange
     if options.rule == "off":
+        if extras.signed is not None and extras.signed < 0.0:
+            return f"No fixture (rule off): {-extras.signed * 1e3:.2f} mm deep in the anatomy.", red
         return "No fixture (rule off): the tool follows the proxy through bone.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange

@@ -412,6 +412,72 @@ def test_the_autopilot_drives_until_a_hand_takes_over(
     wait_until(rests_at(session, goal.translation))
 
 
+def test_a_locked_orientation_holds_and_its_release_does_not_jump(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    start = session.scene.T_base_start
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
+    session.drive(pin.SE3(turn @ start.rotation, start.translation))
+    assert session.set_orientation_lock(True)
+    goal = moved(start, dx=0.002)
+    session.drive(pin.SE3(turn @ turn @ goal.rotation, goal.translation))
+    wait_until(lambda: session.latest().target is not None)
+    wait_until(rests_at(session, goal.translation))
+    np.testing.assert_allclose(session.latest().target.rotation, turn @ start.rotation, atol=1e-12)
+    sequence = session.latest().sequence
+    assert not session.set_orientation_lock(False)
+    session.drive(session.handle)
+    wait_until(lambda: seen(session, sequence + 1))
+    np.testing.assert_allclose(session.latest().target.rotation, turn @ start.rotation, atol=1e-12)
+    session.drive(pin.SE3(turn @ session.handle.rotation, goal.translation))
+    wait_until(lambda: seen(session, sequence + 2))
+    np.testing.assert_allclose(
+        session.latest().target.rotation, turn @ turn @ start.rotation, atol=1e-12
+    )
+
+
+def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
+    session: Session, wait_until: Wait
+) -> None:
+    start = np.array(session.handle.translation)
+    session.set_scale(0.5)
+    session.nudge([1e-3, 0.0, 0.0])
+    session.nudge(np.array([1e-3, -1e-4, 0.0]))
+    np.testing.assert_allclose(session.handle.translation - start, [2e-3, -1e-4, 0.0], atol=1e-12)
+    wait_until(rests_at(session, start + np.array([1e-3, -5e-5, 0.0])))
+    for bad in ([math.nan, 0.0, 0.0], [1.0, 2.0], [100.0, 0.0, 0.0]):
+        with pytest.raises(Refused):
+            session.nudge(bad)
+    np.testing.assert_allclose(session.handle.translation - start, [2e-3, -1e-4, 0.0], atol=1e-12)
+    session.set_autopilot(True)
+    wait_until(lambda: session.latest().autopilot and session.latest().target is not None)
+    session.nudge([0.0, 0.0, 1e-4])
+    wait_until(lambda: not session.latest().autopilot)
+
+
+def test_the_tip_speed_limit_is_clamped_and_holds_between_any_two_ticks(
+    session: Session, wait_until: Wait, moved: Moved
+) -> None:
+    assert session.set_tip_speed(99.0) == 2.0
+    assert session.set_tip_speed(-1.0) == 1e-3
+    assert session.set_tip_speed(0.02) == 0.02
+    with pytest.raises(Refused, match="tip_speed"):
+        session.set_tip_speed(math.nan)
+    wait_until(lambda: session.latest().step is not None)
+    session.drive(moved(session.scene.T_base_start, dx=0.004))
+    seen_at: list[tuple[int, np.ndarray]] = []
+
+    def arrived() -> bool:
+        telemetry = session.latest()
+        seen_at.append((telemetry.tick, np.array(telemetry.step.tip.translation)))
+        return rests_at(session, session.handle.translation)()
+
+    wait_until(arrived)
+    ticks, tips = np.array([t for t, _ in seen_at]), np.array([p for _, p in seen_at])
+    moved_by = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    assert (moved_by <= 0.02 * session.options.dt * np.diff(ticks) * 1.001 + 1e-12).all()
+
+
 def test_a_session_closes_cleanly_whatever_it_was_doing() -> None:
     for prepare in (
         lambda s: None,

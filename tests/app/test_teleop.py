@@ -44,3 +44,11 @@ def test_the_map_keeps_copies_of_its_poses() -> None:
     before = teleop.proxy(poses(6, 1)[0])
     handle.translation = np.array([9.0, 9.0, 9.0])
     assert teleop.proxy(poses(6, 1)[0]).isApprox(before, 0.0)
+
+
+def test_a_locked_orientation_stays_whatever_the_handle_does() -> None:
+    handle, proxy, later = poses(7, 3)
+    moved = latch(0.5, handle, proxy, locked=True).proxy(later)
+    np.testing.assert_array_equal(moved.rotation, proxy.rotation)
+    free = latch(0.5, handle, proxy).proxy(later)
+    np.testing.assert_array_equal(moved.translation, free.translation)

@@ -31,6 +31,7 @@ def main(path: str) -> None:
             tab.wait_for_timeout(3000)
             # The notice that there is no graphics card.
             tab.locator(".mantine-Notification-closeButton").first.click(timeout=30_000)
+            tab.get_by_text("Layers", exact=True).click()
             tab.get_by_label("See-through").click()
             start = session.scene.T_base_start
             for share in np.linspace(0.0, 1.0, 20):

@@ -447,7 +447,7 @@ def test_unusable_joints_are_refused(bad):
     ("name", "value"),
     [("dt", 0.0), ("dt", -1e-3), ("dt", np.nan), ("standoff", -1e-6), ("standoff", np.inf),
      ("tip_radius", -1.0), ("rotation_length", 0.0), ("damping", 0.0), ("force_gain", -150.0),
-     ("force_cap", np.nan)],
+     ("force_cap", np.nan), ("tip_speed", 0.0), ("tip_speed", np.nan)],
 )  # fmt: skip
 def test_settings_name_the_value_they_refuse(name, value):
     with pytest.raises(ValueError, match=name) as refusal:
@@ -464,6 +464,27 @@ def test_fixtures_refuse_a_bad_radius(radius):
 def test_fixtures_name_the_rules_they_know():
     with pytest.raises(ValueError, match=r"'safe'.*certified, paper, all, off"):
         vf.MeshFixture(plate(), "safe")
+
+
+@pytest.mark.parametrize("robot", ["point", "psm", "ur5"])
+def test_the_tip_keeps_to_its_speed_limit_and_still_arrives(robot):
+    """In free space and into a wall; what the limit allows is used."""
+    arm = robots.load(robot)
+    start = arm.tip(arm.neutral)
+    surface = plate(start.translation[2] - 2e-3)
+    surface = vf.Surface.from_arrays(
+        surface.vertices + np.array([*start.translation[:2], 0.0]), surface.faces
+    )
+    speed, dt = 0.03, 1e-3
+    controller = vf.Controller(arm, fixed(surface), vf.Settings(dt=dt, tip_speed=speed))
+    run = Run(controller, arm.neutral, surface)
+    goal = pose(start.translation + np.array([4e-3, 1e-3, -3e-3]), start.rotation)
+    run.to(goal, 300)
+    moved = np.linalg.norm(np.diff(run.tips, axis=0), axis=1)
+    # The limit holds for the linear motion: an arm's curvature over a tick is far below 0.1 %.
+    assert moved.max() <= speed * dt * 1.001
+    assert moved[10:40].mean() > 0.95 * speed * dt
+    assert run.tip[:2] == pytest.approx(goal.translation[:2], abs=2e-5)
 
 
 # Purity, force, timings

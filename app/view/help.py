@@ -1,0 +1,83 @@
+"""The help overlay: ten lines, opened by a button or a key, on the page of the one who asked."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import viser
+
+from app.view.hand import Hand
+
+KEY: Final = "H"
+
+# One line each; HTML.
+LINES = (
+    "<b>Drag the gizmo</b>: arrows move the proxy, squares slide it, rings turn it. The tool "
+    "follows.",
+    "Pull it <b>into the bone</b>: the tool stops at the surface, held by the fixture’s planes.",
+    "<b>Discs</b> are those planes, their colours the paper’s conditions (tab Legend); a strong "
+    "one is leaned on.",
+    "The <b>ball</b> is the motion sphere: one tick moves the tool within it, so only the "
+    "triangles it cuts count.",
+    "The <b>red arrow</b> is the force a surgeon’s hand would feel: stiffness × distance from "
+    "proxy to tool.",
+    "<kbd>J</kbd> <kbd>L</kbd> <kbd>I</kbd> <kbd>K</kbd> <kbd>U</kbd> <kbd>O</kbd> nudge the "
+    "proxy left, right, away, near, down, up by 0.1 mm; with <kbd>Shift</kbd> by 1 mm.",
+    "<b>Camera</b>: drag with the left button to turn, right to shift, wheel to zoom; "
+    "<kbd>W</kbd> <kbd>A</kbd> <kbd>S</kbd> <kbd>D</kbd> <kbd>Q</kbd> <kbd>E</kbd> and arrows "
+    "fly. <kbd>F</kbd> follows the tool.",
+    "<b>Rule</b>: <i>certified</i> holds on any mesh, <i>paper</i> has Conditions 1–3, "
+    "<i>all</i> takes every face, <i>off</i> lets the tool through the bone.",
+    "<b>Scene</b> has other meshes and arms; <b>Autopilot</b> shows all this without your hand.",
+    "Lost? <b>Recall</b> puts the proxy back onto the tool, <b>Reset</b> both to the start.",
+)
+
+
+class Help:
+    """At most one overlay on each client's page."""
+
+    def __init__(self, server: viser.ViserServer, hand: Hand, order: float) -> None:
+        """`order`: where in the panel the button stands."""
+        self._open: dict[int, Any] = {}  # by client; the hand's worker only
+        button = server.gui.add_button(
+            "What am I looking at?",
+            icon=viser.Icon.HELP_CIRCLE,
+            color="gray",
+            hint=f"Ten lines (key {KEY})",
+            order=order,
+        )
+        command = server.gui.add_command(
+            "Help", description="What is on the page, in ten lines", hotkey=KEY
+        )
+
+        @button.on_click
+        async def _clicked(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                hand.submit(self._toggle, event.client)
+
+        @command.on_trigger
+        async def _triggered(event: Any) -> None:
+            if event.client is not None:
+                hand.submit(self._toggle, event.client)
+
+        self._hand = hand
+
+    def _toggle(self, client: viser.ClientHandle) -> None:
+        if client.client_id in self._open:
+            self._close(client.client_id)
+            return
+        modal = client.gui.add_modal("The virtual-fixture sandbox in ten lines")
+        self._open[client.client_id] = modal
+        with modal:
+            items = "".join(f"<li>{line}</li>" for line in LINES)
+            client.gui.add_html(f"<ol class='vf-help'>{items}</ol>")
+            close = client.gui.add_button("Close")
+
+        @close.on_click
+        async def _closed(_event: viser.GuiEvent[Any]) -> None:
+            self._hand.submit(self._close, client.client_id)
+
+    def _close(self, client_id: int) -> None:
+        modal = self._open.pop(client_id, None)
+        if modal is not None:
+            modal.close()

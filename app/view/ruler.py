@@ -1,0 +1,76 @@
+"""Layer: scale bars in millimetres, one under the anatomy and one beside the tool's start."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.scene import Scene
+from app.view import palette
+from app.view.camera import DIRECTION
+from app.view.units import to_buffer, to_view
+
+FloatArray = NDArray[np.float64]
+
+DIVISIONS = 10
+
+
+class Rulers:
+    """Both lie across the direction the page looks from at first."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._api = api
+        self._nodes: list[viser.SceneNodeHandle] = []
+
+    def set_scene(self, scene: Scene, half_height: float) -> None:
+        """Draw the bars of a scene whose first view shows `half_height` [m] above its middle."""
+        size = scene.vertices_shown
+        low, high = size.min(axis=0), size.max(axis=0)
+        # Under the mesh, on the side that the first view is taken from.
+        toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
+        across = np.array([-toward[1], toward[0], 0.0])
+        foot = np.array([*(0.5 * (low + high)[:2]), low[2]]) + 0.33 * scene.surface.size * toward
+        self._nodes = self._draw(
+            "anatomy", foot, across, nice_length(0.5 * float(np.ptp(size[:, :2], axis=0).max()))
+        )
+        # Left of the wrist in the first view, where a phone held upright still shows it.
+        up = np.cross(across, DIRECTION)
+        up = up if up[2] > 0.0 else -up
+        left = np.cross(up, DIRECTION)
+        site = scene.T_base_start.translation - half_height * (0.27 * left - 0.25 * up)
+        self._nodes += self._draw("site", site, left, nice_length(0.3 * half_height))
+
+    def show(self, visible: bool) -> None:
+        """Layer switch."""
+        for node in self._nodes:
+            node.visible = visible
+
+    def _draw(
+        self, name: str, middle: FloatArray, across: FloatArray, length: float
+    ) -> list[viser.SceneNodeHandle]:
+        up = np.array([0.0, 0.0, 0.03 * length])
+        along = np.linspace(-0.5, 0.5, DIVISIONS + 1)[:, None] * length * across + middle
+        heights = np.where(np.arange(DIVISIONS + 1) % 5 == 0, 2.0, 1.0)[:, None] * up
+        ticks = np.stack([along, along + heights], axis=1)  # (11, 2, 3)
+        bar = self._api.add_line_segments(
+            f"/ruler/{name}/bar",
+            points=to_buffer(np.concatenate([along[None, [0, -1]], ticks])),
+            colors=palette.BLACK,
+            thickness=2.0,
+            thickness_units="screen",
+        )
+        label = self._api.add_label(
+            f"/ruler/{name}/label",
+            f"{length * 1e3:g} mm",
+            position=to_view(middle - up),
+            anchor="top-center",
+            font_screen_scale=0.8,
+        )
+        return [bar, label]
+
+
+def nice_length(most: float) -> float:
+    """The longest of 1, 2, 5 × 10^k that is not longer than `most` [m]."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(power * max(m for m in (1.0, 2.0, 5.0) if m * power <= most * (1 + 1e-9)))

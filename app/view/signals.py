@@ -1,0 +1,227 @@
+"""Tab "Signals": the last twenty seconds as plots, and the trail of the tool's tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import vf
+from app.messages import Telemetry
+from app.scene import Scene
+from app.view import palette, trail
+from app.view.depth import signed_distance
+from app.view.feature import Stage
+
+FloatArray = NDArray[np.float64]
+
+SPAN = 20.0  # what the plots show [s]
+PERIOD = 0.1  # between two samples [s]
+REDRAWN = 0.25  # between two updates of the plots: a browser draws all five of them anew [s]
+LENGTH = round(SPAN / PERIOD)
+
+WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line of a plot."""
+
+    name: str
+    color: palette.Rgb
+
+
+@dataclass(frozen=True)
+class Plot:
+    """What one plot shows: its title with the unit, its lines, and the least it reaches up to."""
+
+    title: str
+    curves: tuple[Curve, ...]
+    least: float
+
+
+CONDITIONS = (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY)
+PLOTS = (
+    Plot("Tip to surface [mm], inside < 0", (Curve("distance", palette.BLUE),), 1.0),
+    Plot("Proxy to tool [mm]", (Curve("error", palette.PROXY),), 1.0),
+    Plot("Simulated force [N]", (Curve("force", palette.FORCE),), 1.0),
+    Plot(
+        "Planes: Condition 1, 2, 3",
+        tuple(
+            Curve(palette.LOOKS[rule].name.split(",")[0], palette.LOOKS[rule].color)
+            for rule in CONDITIONS
+        ),
+        4.0,
+    ),
+    Plot(
+        "Tick, median and worst [µs]",
+        (Curve("median", palette.BLUE), Curve("worst", palette.ORANGE)),
+        100.0,
+    ),
+)
+CURVES = sum(len(plot.curves) for plot in PLOTS)
+
+
+def sample(telemetry: Telemetry, surface: vf.Surface) -> FloatArray | None:
+    """One value for each curve, in the order of `PLOTS` and in their units; None: no tick yet."""
+    step, stats = telemetry.step, telemetry.stats
+    if step is None:
+        return None
+    p_tip = np.array(step.tip.translation)
+    gap = 0.0 if telemetry.target is None else np.linalg.norm(telemetry.target.translation - p_tip)
+    return np.array(
+        [
+            signed_distance(surface, p_tip) * 1e3,
+            gap * 1e3,
+            np.linalg.norm(step.force),
+            *(int((step.planes.rules == rule).sum()) for rule in CONDITIONS),
+            stats.tick_median * 1e6,
+            stats.tick_worst * 1e6,
+        ]
+    )
+
+
+class History:
+    """The samples of the last `SPAN` seconds of simulated time."""
+
+    def __init__(self) -> None:
+        self._times = np.zeros(LENGTH)
+        self._values = np.zeros((LENGTH, CURVES))
+        self._count = 0
+
+    def add(self, time: float, values: FloatArray) -> None:
+        """Append values (`CURVES`,) at a time [s] later than the one before."""
+        if self._count == LENGTH:
+            self._times[:-1] = self._times[1:]
+            self._values[:-1] = self._values[1:]
+            self._count -= 1
+        self._times[self._count] = time
+        self._values[self._count] = values
+        self._count += 1
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._count = 0
+
+    def shown(self) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) from the newest sample, −`SPAN` to 0 [s], and the values (n, `CURVES`)."""
+        if self._count == 0:
+            return np.zeros(1), np.zeros((1, CURVES))
+        times = self._times[: self._count] - self._times[self._count - 1]
+        recent = times >= -SPAN
+        return times[recent], self._values[: self._count][recent]
+
+
+class Signals:
+    """The tab. While it is switched off, or nobody watches, it computes and sends nothing."""
+
+    def __init__(self, stage: Stage) -> None:
+        gui = stage.server.gui
+        self._session = stage.session
+        self._history = History()
+        self._trail = trail.Trail(stage.server.scene)
+        self._cleared = False
+        self._scene: Scene = stage.session.scene
+        self._sampled = 0.0  # simulated time of the newest sample [s]
+        self._drawn = 0.0  # when the plots were last sent [s]
+        self._marked = 0.0  # of the newest point of the trail [s]
+        with stage.left.add_tab("Signals"):
+            self._on = gui.add_checkbox(
+                "Plot", False, hint="Draw the last 20 s. While this is off it costs nothing."
+            )
+            self._plots = [self._add(gui, plot, plot is PLOTS[-1]) for plot in PLOTS]
+            self._mode = gui.add_dropdown(
+                "Trail",
+                (WHEN_OFF, ALWAYS, NEVER),
+                initial_value=WHEN_OFF,
+                hint="Paint the path of the tool’s tip into the scene, coloured by its depth.",
+            )
+            clear = gui.add_button("Clear trail and plots", color="gray")
+            gui.add_html(trail.legend())
+
+        @clear.on_click
+        async def _clear(_event: Any) -> None:
+            self._cleared = True
+
+    def set_scene(self, scene: Scene) -> None:
+        """Another anatomy has another past."""
+        self._scene = scene
+        self._history.clear()
+        self._trail.path.clear()
+        self._trail.draw()
+
+    def frame(self, telemetry: Telemetry) -> None:
+        """Sample and draw, each at its own pace."""
+        if self._cleared:
+            self._cleared = False
+            self._history.clear()
+            self._trail.path.clear()
+            self._trail.draw()
+        if telemetry.scene != self._scene.version or telemetry.step is None:
+            return
+        self._mark(telemetry)
+        if self._on.value and not 0.0 <= telemetry.time - self._sampled < PERIOD:
+            self._sampled = telemetry.time
+            values = sample(telemetry, self._scene.surface)
+            if values is not None:
+                self._history.add(telemetry.time, values)
+            if not 0.0 <= telemetry.time - self._drawn < REDRAWN:
+                self._drawn = telemetry.time
+                self._draw()
+
+    def read_out(self, telemetry: Telemetry) -> None:
+        """Nothing here goes at that pace."""
+
+    def _mark(self, telemetry: Telemetry) -> None:
+        mode, rule = self._mode.value, self._session.options.rule
+        if mode == NEVER or (mode == WHEN_OFF and rule != "off"):
+            self._trail.path.lift()
+            return
+        if 0.0 <= telemetry.time - self._marked < 0.5 * PERIOD:
+            return
+        self._marked = telemetry.time
+        assert telemetry.step is not None
+        p_tip = np.array(telemetry.step.tip.translation)
+        if self._trail.path.add(p_tip, signed_distance(self._scene.surface, p_tip)):
+            self._trail.draw()
+
+    def _draw(self) -> None:
+        times, values = self._history.shown()
+        column = 0
+        for plot, node in zip(PLOTS, self._plots, strict=True):
+            n = len(plot.curves)
+            node.data = (times, *(values[:, column + k].copy() for k in range(n)))
+            column += n
+
+    def _add(self, gui: Any, plot: Plot, last: bool) -> Any:
+        small = "10px sans-serif"
+        return gui.add_uplot(
+            data=(np.array([-SPAN, 0.0]), *(np.zeros(2) for _ in plot.curves)),
+            series=(
+                {"label": "s"},
+                *(
+                    {"label": c.name, "stroke": palette.css(c.color), "width": 1.5}
+                    for c in plot.curves
+                ),
+            ),
+            title=plot.title,
+            scales={
+                "x": {"time": False, "auto": False, "range": (-SPAN, 0.0)},
+                "y": {
+                    "range": {
+                        "min": {"pad": 0.1, "soft": 0.0, "mode": 1},
+                        "max": {"pad": 0.1, "soft": plot.least, "mode": 1},
+                    }
+                },
+            },
+            axes=(
+                {"show": last, "size": 26, "font": small, "gap": 2},
+                {"size": 38, "font": small, "gap": 2},
+            ),
+            legend={"show": False},
+            cursor={"show": False},
+            height=88 if last else 68,
+            padding=(4, 8, 4, 0),
+        )
