@@ -116,3 +116,22 @@ class Loop:
         for phase in self.phases:
             if phase not in known:
                 raise OptionError(f"unknown phase '{phase}': choose from {', '.join(known)}")
+
+
+@dataclass(frozen=True)
+class View:
+    """How soon the page shows what a drag did, and how often it is brought up to date."""
+
+    mesh: str = "skull-fine"
+    """Catalogue name or file of the mesh; skull-fine has about a million triangles."""
+    drags: int = 40
+    """Drag events to measure."""
+    seconds: float = 20.0
+    """How long the autopilot runs, to count the page's updates [s]."""
+    rate: float = 1000.0
+    """Ticks of the control loop per second."""
+    out: Path = OUT
+    """Folder for view.json."""
+
+    def __post_init__(self) -> None:
+        _positive(drags=self.drags, seconds=self.seconds, rate=self.rate)

@@ -9,22 +9,23 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from app.bench.settings import Loop, Peers, Runtime
+from app.bench.settings import Loop, Peers, Runtime, View
 from app.settings import OptionError, parse_as
 
-_KINDS: dict[str, type[Runtime] | type[Peers] | type[Loop]] = {
+_KINDS: dict[str, type[Runtime] | type[Peers] | type[Loop] | type[View]] = {
     "runtime": Runtime,
     "peers": Peers,
     "loop": Loop,
+    "view": View,
 }
 USAGE_ERROR = 2
 WRONG_ANSWER = 1
 
 
 def main(arguments: list[str]) -> int:
-    """Run `bench runtime`, `bench peers` or `bench loop`; returns the exit code."""
+    """Run `bench runtime`, `peers`, `loop` or `view`; returns the exit code."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: vf-sandbox bench {runtime,peers,loop} [options]\n")
+        print("usage: vf-sandbox bench {runtime,peers,loop,view} [options]\n")
         for name, kind in _KINDS.items():
             print(f"  {name:8} {(kind.__doc__ or '').strip().splitlines()[0]}")
         return 0 if arguments else USAGE_ERROR
@@ -39,6 +40,8 @@ def main(arguments: list[str]) -> int:
             return _runtime(options)
         if isinstance(options, Peers):
             return _peers(options)
+        if isinstance(options, View):
+            return _view(options)
         return _loop(options)
     except (OptionError, ValueError, OSError) as error:
         return _complain(str(error))
@@ -84,6 +87,21 @@ def _loop(options: Loop) -> int:
     result = _shown(console, lambda say, advance: loop.run(options, say, advance))
     report.loop(result, console)
     console.print(f"written: {write(options.out, 'loop', result)}")
+    return 0
+
+
+def _view(options: View) -> int:
+    from app.bench import latency
+    from app.bench.machine import write
+    from app.bench.watcher import NoBrowser
+
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    try:
+        result = _shown(console, lambda say, advance: latency.run(options, say, advance))
+    except NoBrowser as reason:
+        return _complain(str(reason))
+    latency.report(result, console)
+    console.print(f"written: {write(options.out, 'view', result)}")
     return 0
 
 

@@ -60,7 +60,12 @@ class ArmDrawing:
             return  # telemetry of the scene before
         placements = self._arm.placements(q)  # (bodies, 7): wxyz, position [m]
         for row, node in self._links:
-            if self._shown is None or np.abs(placements[row] - self._shown[row]).max() > RESTING:
+            changed = (
+                np.full(7, np.inf) if self._shown is None else placements[row] - self._shown[row]
+            )
+            # Each half costs as much as the other, and many links only turn or only shift.
+            if np.abs(changed[:4]).max() > RESTING:
                 node.wxyz = placements[row, :4]
+            if np.abs(changed[4:]).max() > RESTING:
                 node.position = to_view(placements[row, 4:])
         self._shown = placements

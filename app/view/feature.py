@@ -42,7 +42,7 @@ class Feature(Protocol):
         ...
 
     def frame(self, telemetry: Telemetry) -> None:
-        """Up to 30 times a second while somebody watches, inside `server.atomic()`."""
+        """Some 25 times a second while somebody watches, inside `server.atomic()`."""
         ...
 
     def read_out(self, telemetry: Telemetry) -> None:

@@ -314,3 +314,16 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "unknown rule 'magic'" in capsys.readouterr().err
     assert bench.main(["loop", "--phases", "dancing"]) == 2
     assert "idle, dragging, loading, joining" in capsys.readouterr().err
+
+
+def test_delays_pair_each_drag_with_the_first_move_after_it() -> None:
+    from app.bench.latency import delays_of
+
+    log = {
+        "sent": [[100.0, 110.0], [500.0, 505.0], [900.0, 901.0], [1300.0, 1302.0]],
+        "moved": [90.0, 140.0, 150.0, 560.0, 1310.0],  # the third drag moved nothing
+        "drawn": [[90.0, 95.0], [140.0, 170.0], [150.0, 180.0], [560.0, 600.0]],  # nor the fourth's
+    }
+    assert delays_of(log).tolist() == [[10.0, 30.0, 70.0], [5.0, 55.0, 100.0]]
+    with pytest.raises(ValueError, match="no drag moved the tool"):
+        delays_of({"sent": [[1.0, 2.0]], "moved": [], "drawn": []})

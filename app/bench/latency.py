@@ -1,0 +1,312 @@
+"""`bench view`: how soon the page shows what a drag did, and how often it is brought up to date.
+
+The browser runs in a process of its own, `-m app.bench.latency URL`, so that driving it takes
+nothing from the interpreter that is being measured. It looks into the page's own messages: those
+that viser's worker is given to send and those that it hands over, so both ends of a delay are
+taken from the page's clock.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.bench.settings import View
+from app.bench.watcher import ARGUMENTS, NoBrowser, chromium
+
+PAUSE = 0.4  # between two drag events: the tool is at rest again by then [s]
+SETTLE = 3.0  # after the page has opened and before anything is measured [s]
+SHAFT = 0.88  # where along the gizmo's arrow it is grabbed, as a share of its length
+MOVE = 6.0  # of the mouse along the arrow for each drag event [px]
+
+_HOOK = """(() => {
+  const log = window.vf = {pointer: 0, sent: [], moved: [], drawn: []};
+  const event = e => { log.pointer = e.timeStamp; };
+  addEventListener('pointermove', event, true);
+  const Native = window.Worker;
+  window.Worker = class extends Native {
+    constructor(...all) {
+      super(...all);
+      this.addEventListener('message', e => {
+        if (e.data.type !== 'message_batch') return;
+        if (!e.data.messages.some(m => m.type === 'SetPositionMessage' && m.name === '/tool/dot'))
+          return;
+        const now = performance.now();
+        log.moved.push(now);
+        // The frame after the next one begins when the one that shows the move is done.
+        requestAnimationFrame(() => requestAnimationFrame(() =>
+          log.drawn.push([now, performance.now()])));
+      });
+    }
+    postMessage(data, ...rest) {
+      if (data.type === 'send' && data.message.type === 'TransformControlsUpdateMessage')
+        log.sent.push([log.pointer, performance.now()]);
+      super.postMessage(data, ...rest);
+    }
+  };
+})()"""
+
+
+class Dragger:
+    """The other end of this module: starts the process and talks to it."""
+
+    def __init__(self, url: str) -> None:
+        """Open the page.
+
+        Raises:
+            NoBrowser: Playwright or Chromium is missing, or the page never drew.
+        """
+        chromium()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "app.bench.latency", url],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            self._answer()
+        except NoBrowser:
+            self.close()
+            raise
+
+    def __enter__(self) -> Dragger:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def tell(self, what: str, **more: Any) -> dict[str, Any]:
+        """Ask for something and wait for the answer."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps({"do": what, **more}) + "\n")
+        self._process.stdin.flush()
+        return self._answer()
+
+    def close(self) -> None:
+        """End browser and process. Safe to call twice."""
+        if self._process.poll() is None:
+            assert self._process.stdin is not None
+            try:
+                self._process.stdin.close()  # ends the child's loop
+                self._process.wait(20)
+            except (OSError, subprocess.TimeoutExpired):
+                self._process.kill()
+                self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        answer = json.loads(line) if line else {"error": "the browser's process ended"}
+        if "error" in answer:
+            raise NoBrowser(str(answer["error"]))
+        return dict(answer)
+
+
+def run(
+    options: View, say: Callable[[str], None], advance: Callable[[float], None]
+) -> dict[str, Any]:
+    """Drag, then let the autopilot run; returns what `view.json` holds.
+
+    Raises:
+        NoBrowser: there is none to measure with.
+        ValueError: an unusable mesh.
+    """
+    from app.bench.loop import Tap, summary
+    from app.bench.machine import machine, percentiles
+    from app.loop import prefer_this_process
+    from app.session import Session
+    from app.settings import Options
+    from app.view.page import Page
+
+    about = machine()
+    prefer_this_process()
+    with ExitStack() as stack:
+        session = Session(Options(mesh=options.mesh, rate=options.rate, port=0), progress=say)
+        # A slow browser takes its time over each drag.
+        tap = Tap(session, int(options.rate * (options.seconds + 5.0 * options.drags + 120.0)))
+        stack.callback(session.close)
+        session.start()
+        page = Page(session, "127.0.0.1", 0)
+        stack.callback(page.close)
+        say("opening the browser")
+        dragger = stack.enter_context(Dragger(page.url))
+        time.sleep(SETTLE)
+        say(f"{options.drags} drag events")
+        first, began = tap.count, time.perf_counter()
+        p, step = _arrow(page, dragger.tell("box"))
+        dragger.tell("drag", at=p.tolist(), by=step.tolist(), count=options.drags)
+        dragging = summary(tap.since(first), time.perf_counter() - began, options.rate)
+        delays = delays_of(dragger.tell("log"))
+        advance(0.5)
+        say(f"autopilot, {options.seconds:g} s")
+        session.reset()
+        session.set_autopilot(True)
+        time.sleep(SETTLE)
+        first, began = tap.count, time.perf_counter()
+        before = len(dragger.tell("log")["moved"])
+        time.sleep(options.seconds)
+        after = len(dragger.tell("log")["moved"])
+        elapsed = time.perf_counter() - began
+        flying = summary(tap.since(first), elapsed, options.rate)
+        advance(1.0)
+        of = (50.0, 90.0)
+        return {
+            "what": "vf-sandbox bench view",
+            "machine": about,
+            "options": {**asdict(options), "out": str(options.out)},
+            "triangles": len(session.scene.surface.faces),
+            "drags": len(delays),
+            "input to message [ms]": percentiles(delays[:, 0], of),
+            "message to moved tool [ms]": percentiles(delays[:, 1], of),
+            "input to moved tool [ms]": percentiles(delays[:, :2].sum(axis=1), of),
+            "input to picture [ms]": percentiles(delays[:, 2], of),
+            "updates/s": (after - before) / elapsed,
+            "loop while dragging": dragging,
+            "loop on autopilot": flying,
+        }
+
+
+def delays_of(log: dict[str, Any]) -> NDArray[np.float64]:
+    """Of each drag that moved the tool: (k, 3) input to message, message to tool, input to picture.
+
+    Args:
+        log: what the page noted [ms]: "sent", pairs of the input's and the message's times;
+            "moved", when the tool's position came; "drawn", pairs of that and of the end of the
+            next frame.
+
+    Raises:
+        ValueError: no drag moved the tool.
+    """
+    sent, moved = log["sent"], np.array(log["moved"])
+    drawn = dict(map(tuple, log["drawn"]))
+    rows = []
+    for k, (pointer, message) in enumerate(sent):
+        until = sent[k + 1][1] if k + 1 < len(sent) else np.inf
+        came = moved[(moved >= message) & (moved < until)]
+        if len(came) and came[0] in drawn:
+            rows.append((message - pointer, came[0] - message, drawn[came[0]] - pointer))
+    if not rows:
+        raise ValueError("no drag moved the tool: the mouse missed the gizmo's arrow")
+    return np.array(rows)
+
+
+def report(result: dict[str, Any], console: Any) -> None:
+    """The figures as text."""
+    console.print(f"[bold]{result['what']}[/]: {result['triangles']:,} triangles")
+    for name in (
+        "input to message [ms]",
+        "message to moved tool [ms]",
+        "input to moved tool [ms]",
+        "input to picture [ms]",
+    ):
+        median, p90 = result[name]
+        console.print(f"  {name:28} median {median:6.1f}   p90 {p90:6.1f}")
+    console.print(f"  of {result['drags']} drag events; updates/s {result['updates/s']:.1f}")
+    for name in ("loop while dragging", "loop on autopilot"):
+        row = result[name]
+        console.print(
+            f"  {name}: {row['rate [Hz]']:.1f} Hz, {100 * row['punctual']:.2f} % on time, "
+            f"p99 late {row['late [us]']['p99']:.0f} µs"
+        )
+
+
+def _arrow(page: Any, box: dict[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the gizmo's x arrow is in the window, and one move along it (2,) each [px]."""
+    from app.view.proxy import GIZMO_SIZE
+
+    (client,) = page.server.get_clients().values()
+    camera = client.camera
+    wxyz, origin = page.gizmo_pose
+    R_camera, R_gizmo = _matrix(camera.wxyz), _matrix(wxyz)
+    focal = 0.5 * box["height"] / np.tan(0.5 * camera.fov)
+
+    def on_screen(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        right, down, forward = R_camera.T @ (p - camera.position)
+        centre = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
+        return np.asarray(centre + focal * np.array([right, down]) / forward)
+
+    depth = float(np.linalg.norm(origin - camera.position))
+    head = on_screen(origin + SHAFT * GIZMO_SIZE * depth / focal * R_gizmo[:, 0])
+    along = head - on_screen(origin)
+    return head, MOVE * along / np.linalg.norm(along)
+
+
+def _matrix(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    import pinocchio as pin
+
+    w, x, y, z = wxyz
+    return np.asarray(pin.Quaternion(w, x, y, z).matrix())
+
+
+def _main(url: str) -> int:
+    if sys.platform.startswith("linux"):
+        # A user's browser is not started by the server and has no share in its priority.
+        os.setpriority(os.PRIO_PROCESS, 0, 0)
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        _say(error=f"Playwright is not installed ({error}): pip install 'vf-sandbox[bench]'")
+        return 1
+    try:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
+            # A software renderer cannot fill a screen's pixels in time; that is not ours to judge.
+            tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
+            tab.add_init_script(_HOOK)
+            tab.goto(url)
+            tab.wait_for_selector("canvas", timeout=60_000)
+            tab.get_by_text("Ready: drag the gizmo").wait_for(timeout=60_000)
+            _say(ready=True)
+            for line in sys.stdin:
+                order = json.loads(line)
+                if order["do"] == "box":
+                    box: Any = tab.locator("canvas").first.bounding_box()
+                    _say(**box)
+                elif order["do"] == "drag":
+                    _drag(tab, np.array(order["at"]), np.array(order["by"]), order["count"])
+                    _say()
+                else:
+                    _say(**tab.evaluate("window.vf"))
+            browser.close()
+    except (Error, NoBrowser) as error:
+        _say(error=" ".join(str(error).split())[:300])
+        return 1
+    return 0
+
+
+def _drag(tab: Any, at: NDArray[np.float64], by: NDArray[np.float64], count: int) -> None:
+    """Press at (2,), move by (2,) and back, `count` times in all, let go [px]."""
+    tab.mouse.move(*at)
+    tab.wait_for_timeout(1000)  # the page looks for what is under the mouse once a frame
+    tab.mouse.down()
+    tab.wait_for_timeout(1000)
+    for k in range(count):
+        tab.mouse.move(*(at + (k % 2 == 0) * by))
+        tab.wait_for_timeout(1000 * PAUSE)
+    tab.mouse.up()
+
+
+def _say(**answer: Any) -> None:
+    print(json.dumps(answer), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(_main(sys.argv[1]))
