@@ -57,6 +57,21 @@ def skull(segments: int = STANDARD, *, fused: bool = False, precut: bool = False
     return to_metres(bone)
 
 
+def outer_points(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points ``(n, 3)`` [m] of the outer surface along directions ``(n, 3)`` from the middle."""
+    return _outer(np.asarray(directions, dtype=np.float64)) * 1e-3  # [mm] -> [m]
+
+
+def endocranium(segments: int = STANDARD) -> Arrays:
+    """What the bone protects: the solid within the inner surface, openings closed, watertight.
+
+    Vertices ``(n, 3)`` [m] in the skull's axes and outward-wound faces ``(m, 3)``. A tool may cut
+    through the bone to this surface, and no farther.
+    """
+    inner = Manifold.sphere(1.0, segments).warp_batch(_inner)
+    return to_metres(inner.trim_by_plane((0.0, 0.30, 1.0), -32.0))
+
+
 def planned_cut() -> NDArray[np.float64]:
     """The planned sagittal cut: ``(31, 3)`` points [m] on the outer surface, in the skull's axes.
 

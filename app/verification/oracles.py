@@ -176,7 +176,7 @@ def _distance(a, b, p, q, r):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
+def touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
     """Whether the segment ab meets the triangle pqr: 1 yes, 0 no, −1 if rounding leaves it open."""
     for k in range(3):
         if max(a[k], b[k]) < min(p[k], q[k], r[k]) or min(a[k], b[k]) > max(p[k], q[k], r[k]):
@@ -199,7 +199,7 @@ def _cut(vertices, faces, rows, a, b, doubtful):  # type: ignore[no-untyped-def]
     doubts = 0
     for i in rows:
         f = faces[i]
-        verdict = _touches(a, b, vertices[f[0]], vertices[f[1]], vertices[f[2]])
+        verdict = touches(a, b, vertices[f[0]], vertices[f[1]], vertices[f[2]])
         if verdict > 0:
             count += 1
         elif verdict < 0:
@@ -214,7 +214,7 @@ def _count_scrapes(vertices, faces, rows, a, b, room):  # type: ignore[no-untype
     for i in rows:
         f = faces[i]
         p, q, r = vertices[f[0]], vertices[f[1]], vertices[f[2]]
-        if _touches(a, b, p, q, r) > 0 or _distance(a, b, p, q, r) < room:
+        if touches(a, b, p, q, r) > 0 or _distance(a, b, p, q, r) < room:
             count += 1
     return count
 

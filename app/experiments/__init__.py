@@ -1,0 +1,1 @@
+"""The paper's experiments in silico: simulated operators on the real controller."""

@@ -1,0 +1,106 @@
+"""Fit the operator to the paper's teleoperation arm, and to nothing else.
+
+Six values of the model are sought for which plain teleoperation has the paper's six figures: mean
+and standard deviation of |penetration| and of cutting-path deviation, the time of a cut, and the
+smoothness of tracing. What the model then says about the fixture is a prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from app.experiments import cutting, published, site, smoothness
+from app.experiments.follower import FaultlessArm
+from app.experiments.operators import Operator
+from app.experiments.trial import perform
+
+FloatArray = NDArray[np.float64]
+
+FITTED = ("view_angle", "depth_bias", "depth_error", "image_error", "stroke", "tremor")
+CUTTING_RATE = 100.0  # [Hz]: shape and time of a cut do not depend on it
+TRACING_RATE = 1000.0  # [Hz]: smoothness may
+DIFFERENCE = 0.05  # in the logarithm of a value, for derivatives of a noisy function
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The fitted operator, and how near it comes: rows of name, wanted, reached."""
+
+    operator: Operator
+    rows: tuple[tuple[str, float, float], ...]
+    evaluations: int
+
+
+def wanted() -> dict[str, float]:
+    """The paper's figures of plain teleoperation, in the published units."""
+    return {
+        "mean |PD| [mm]": published.PENETRATION.off.mean,
+        "std |PD| [mm]": published.PENETRATION.off.spread,
+        "mean CPD [mm]": published.DEVIATION.off.mean,
+        "std CPD [mm]": published.DEVIATION.off.spread,
+        "time [s]": published.DURATION.off.mean,
+        "SAL": published.SAL.off.mean,
+    }
+
+
+def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
+    """The same figures of simulated teleoperation; equal seeds give equal randomness."""
+    place = site.build()
+    course = place.course.moved(place.T_base_skull)
+    start = place.T_base_start.translation
+    deviation, penetration, durations, smooth = [], [], [], []
+    for number in range(trials):
+        rng = np.random.default_rng(np.random.SeedSequence((seed, number)))
+        cut = perform(
+            operator, course, start, FaultlessArm(), assisted=False,
+            stroke=operator.stroke, rate=CUTTING_RATE, rng=rng,
+        )  # fmt: skip
+        shape = cutting.kerf(course, cut.tips)
+        deviation.append(np.abs(shape.deviation))
+        penetration.append(np.abs(shape.penetration))
+        durations.append(cut.duration)
+        trace = perform(
+            operator, course, start, FaultlessArm(), assisted=False,
+            stroke=operator.tracing_stroke, rate=TRACING_RATE, rng=rng,
+        )  # fmt: skip
+        every = round(TRACING_RATE / 100.0)
+        speed = smoothness.speed_of(trace.tips[every - 1 :: every], 100.0)
+        smooth.append(smoothness.sal(speed, 100.0))
+    values = (
+        1e3 * np.nanmean(penetration), 1e3 * np.nanstd(penetration),
+        1e3 * np.nanmean(deviation), 1e3 * np.nanstd(deviation),
+        np.mean(durations), np.mean(smooth),
+    )  # fmt: skip
+    return dict(zip(wanted(), map(float, values), strict=True))
+
+
+def calibrate(
+    trials: int = 24, seed: int = 0, say: Callable[[str], None] = lambda _text: None
+) -> Calibration:
+    """Fit the six values, by least squares of relative differences."""
+    goal = np.array(list(wanted().values()))
+    start = np.log([getattr(Operator(), name) for name in FITTED])
+
+    def operator(x: FloatArray) -> Operator:
+        values = {name: float(v) for name, v in zip(FITTED, np.exp(x), strict=True)}
+        return replace(Operator(), **values)
+
+    def miss(x: FloatArray) -> FloatArray:
+        figures = np.array(list(reached(operator(x), trials, seed).values()))
+        off = figures / goal - 1.0
+        say(f"off by {100 * float(np.abs(off).max()):.1f} %")
+        return off
+
+    fit = least_squares(
+        miss, start, diff_step=DIFFERENCE / np.maximum(np.abs(start), 1.0), max_nfev=10,
+        xtol=1e-4, ftol=1e-6,
+    )  # fmt: skip
+    found = operator(fit.x)
+    figures = reached(found, trials, seed)
+    rows = tuple((name, value, figures[name]) for name, value in wanted().items())
+    return Calibration(found, rows, int(fit.nfev))

@@ -1,0 +1,152 @@
+"""A surgeon's hand, simulated: what is seen, what is done about it, and what goes wrong.
+
+The hand moves in submovements of minimum jerk, looks, waits for what it sees, and moves again.
+Depth is judged by eye through a stereo endoscope that looks obliquely onto the cut: an error along
+the line of sight is invisible in the picture, and is partly an error in depth and partly one aside.
+With the fixture on, the hand leaves depth to the fixture and presses lightly inwards; what is left
+to the eye is the picture, and the tip's place on a known surface follows from it.
+
+All lengths are at the tool, that is after the scaling of teleoperation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+FloatArray = NDArray[np.float64]
+
+CALIBRATED = "calibrated on the paper's teleoperation arm: vf-sandbox experiment calibrate --seed 0"
+
+
+def _parameter(value: float, unit: str, source: str, about: str) -> Any:
+    return field(default=value, metadata={"unit": unit, "source": source, "about": about})
+
+
+@dataclass(frozen=True)
+class Operator:
+    """One hand. Every field has its unit, its source and a description in its metadata."""
+
+    movement_time: float = _parameter(
+        0.35, "s", "submovements last 0.2–0.5 s: Novak, Miller, Houk, Exp Brain Res 2002",
+        "length of a submovement of minimum jerk (Flash, Hogan, J Neurosci 1985)",
+    )  # fmt: skip
+    visual_delay: float = _parameter(
+        0.2, "s", "0.15–0.25 s: Slifkin, Vaillancourt, Newell, J Neurophysiol 2000",
+        "from the end of a submovement until what is seen of it leads to the next",
+    )  # fmt: skip
+    movement_noise: float = _parameter(
+        0.05, "of the movement", "a few percent: Harris, Wolpert, Nature 1998",
+        "standard deviation of a submovement's end, in every direction",
+    )  # fmt: skip
+    tremor: float = _parameter(
+        70e-6, "m", CALIBRATED,
+        "tremor of 8–12 Hz at the hand, root mean square in every direction; 50–200 µm is usual: "
+        "Riviere, Rader, Khosla 1997; it is scaled like the movement",
+    )  # fmt: skip
+    scale: float = _parameter(
+        0.2, "1", "default of the dVRK (facts of the setting)", "movement of tool per hand"
+    )
+    view_angle: float = _parameter(
+        0.65, "rad", CALIBRATED, "between the line of sight and the plane of the cut"
+    )
+    depth_bias: float = _parameter(
+        0.8e-3, "m", CALIBRATED,
+        "constant error along the line of sight, the tool believed nearer than it is",
+    )  # fmt: skip
+    depth_error: float = _parameter(
+        0.5e-3, "m", CALIBRATED, "slow error along the line of sight, standard deviation"
+    )
+    image_error: float = _parameter(
+        0.25e-3, "m", CALIBRATED, "slow error aside in the picture, standard deviation"
+    )
+    slow: float = _parameter(
+        5.0, "s", "assumed: some submovements, well below a trial",
+        "time in which the slow errors forget themselves",
+    )  # fmt: skip
+    session_spread: float = _parameter(
+        0.2, "of the bias", "assumed", "by which the bias differs between trials, std. deviation"
+    )
+    tolerance: float = _parameter(
+        0.2e-3, "m", "assumed: a third of the blade's width",
+        "a deviation seen to be larger is corrected before the tool goes on",
+    )  # fmt: skip
+    stroke: float = _parameter(
+        0.12e-3, "m", CALIBRATED, "how far a submovement goes on along a cut in bone"
+    )
+    tracing_stroke: float = _parameter(
+        0.5e-3, "m", "assumed: 30 mm in about a minute where there is no bone to cut",
+        "how far a submovement goes on along an open slot",
+    )  # fmt: skip
+    press: float = _parameter(
+        0.15, "N", "assumed: light contact",
+        "force with which the hand presses inwards where it relies on the fixture",
+    )  # fmt: skip
+    press_noise: float = _parameter(
+        0.1, "of the force", "Weber fraction of force: Jones, Exp Neurol 1989; Pang et al. 1991",
+        "standard deviation of the force pressed with",
+    )  # fmt: skip
+    stiffness: float = _parameter(
+        150.0, "N/m", "the paper's haptic gain", "of the force felt per distance of tool and proxy"
+    )
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not np.isfinite(value) or value < 0.0:
+                raise ValueError(f"{f.name} must be finite and zero or more, got {value!r}")
+
+    def varied(self, rng: np.random.Generator, spread: float) -> Operator:
+        """Somebody else: the calibrated values times a log-normal factor of this spread."""
+        names = [f.name for f in fields(self) if f.metadata["source"] == CALIBRATED]
+        factors = np.exp(spread * rng.normal(size=len(names)))
+        return replace(
+            self,
+            **{n: getattr(self, n) * float(k) for n, k in zip(names, factors, strict=True)},
+        )
+
+
+class Tremor:
+    """Tremor of 8–12 Hz, (n, 3) at a time; the pieces join seamlessly."""
+
+    def __init__(self, size: float, rate: float, rng: np.random.Generator) -> None:
+        self._rng = rng
+        if size == 0.0 or rate <= 24.0:  # cannot be represented
+            self._gain = 0.0
+        else:
+            self._sos = signal.butter(2, (8.0, 12.0), "bandpass", fs=rate, output="sos")
+            _, response = signal.sosfreqz(self._sos, 4096, fs=rate)
+            self._gain = size / float(np.sqrt((np.abs(response) ** 2).mean()))
+            self._state = np.zeros((len(self._sos), 2, 3))
+
+    def __call__(self, n: int) -> FloatArray:
+        if self._gain == 0.0:
+            return np.zeros((n, 3))
+        white = self._gain * self._rng.normal(size=(n, 3))
+        out, self._state = signal.sosfilt(self._sos, white, axis=0, zi=self._state)
+        return np.asarray(out)
+
+
+class SlowError:
+    """An Ornstein–Uhlenbeck process, asked at ever later times: exact at any distance."""
+
+    def __init__(self, size: float, memory: float, rng: np.random.Generator) -> None:
+        self._size, self._memory, self._rng = size, memory, rng
+        self._value = size * rng.normal()
+
+    def after(self, elapsed: float) -> float:
+        """The error `elapsed` seconds after the last one."""
+        kept = float(np.exp(-elapsed / self._memory)) if self._memory > 0.0 else 0.0
+        fresh = float(np.sqrt(1.0 - kept**2)) * self._size
+        self._value = kept * self._value + fresh * self._rng.normal()
+        return self._value
+
+
+def minimum_jerk(n: int) -> FloatArray:
+    """Share (n,) of a movement done after each of its n ticks, 1 at the end (Flash, Hogan)."""
+    t = np.arange(1, n + 1) / n
+    return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
