@@ -9,15 +9,19 @@ from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.haptics import force
 from vf.planes import Planes, Rule
 from vf.qp import ConstrainedLeastSquares, Solution, Solver
+from vf.reasons import Across, Cover, Explanation, TriangleReport, Verdict, explain
 from vf.surface import Contacts, Edge, Surface
 
 __all__ = [
     "RULES",
+    "Across",
     "ConstrainedLeastSquares",
     "Contacts",
     "Controller",
     "CorridorFixture",
+    "Cover",
     "Edge",
+    "Explanation",
     "Feature",
     "Fixture",
     "MeshFixture",
@@ -30,10 +34,13 @@ __all__ = [
     "Step",
     "Surface",
     "Timings",
+    "TriangleReport",
+    "Verdict",
     "certified_planes",
     "closest_point",
     "cutting_direction",
     "every_plane",
+    "explain",
     "force",
     "paper_planes",
 ]
