@@ -11,7 +11,9 @@ import viser
 from app.messages import Telemetry
 from app.scene import Scene
 from app.session import Session
+from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand, Tell
+from app.view.proxy import Proxy
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class Stage:
         tell: a notification on one client's page.
         left: the panel of read-outs; a part may add a tab to it (`left.add_tab`). Folders added
             through `server.gui` appear in the panel of controls on the right.
+        fixture: the planes at the tool, which a part may ask to step back.
+        proxy: the operator's gizmo, likewise.
     """
 
     server: viser.ViserServer
@@ -32,6 +36,8 @@ class Stage:
     hand: Hand
     tell: Tell
     left: viser.PanelHandle
+    fixture: FixtureDrawing
+    proxy: Proxy
 
 
 class Feature(Protocol):

@@ -18,19 +18,25 @@ Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 
 
 SLOTS = 128  # planes drawn at most; rule "all" can make a thousand
 CLEAR = 12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
+# Opacities of the discs, and those for when what is under them is inspected.
+CALM = (0.3, 0.1)
+STRONG = (0.65, 0.3)
 LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
 class FixtureDrawing:
     """Planes are drawn as their discs inside the motion sphere, coloured by the rule.
 
-    All planes are instances of four small meshes. Their number never changes (a plane that is
-    not there has scale 0): the browser builds a batch anew when its length or opacities change.
+    The more a plane pushes the tool back, the fuller its colour; the one that pushes most has a
+    thick ring. All planes are instances of four small meshes. Their number never changes (a plane
+    that is not there has scale 0): the browser builds a batch anew when its length or opacities
+    change.
     """
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, root: str = "/fixture") -> None:
+        """Make the nodes under `root`, invisible until the first `update`."""
         self._sphere = api.add_icosphere(
-            "/fixture/sphere",
+            f"{root}/sphere",
             radius=1.0,
             color=palette.SPHERE,
             subdivisions=10,
@@ -39,15 +45,30 @@ class FixtureDrawing:
             side="back",
             cast_shadow=False,
             receive_shadow=False,
+            visible=False,
         )
         disc, rim = _disc(), _rim()
-        self._calm = _batch(api, "/fixture/discs", disc, opacity=0.3)
-        self._leaning = _batch(api, "/fixture/discs_leaning", disc, opacity=0.65)
-        self._rims = _batch(api, "/fixture/rims", rim)
-        self._normals = _batch(api, "/fixture/normals", _arrow())
+        self._calm = _batch(api, f"{root}/discs", disc, opacity=CALM[0])
+        self._leaning = _batch(api, f"{root}/discs_leaning", disc, opacity=STRONG[0])
+        self._rims = _batch(api, f"{root}/rims", rim)
+        self._normals = _batch(api, f"{root}/normals", _arrow())
+        # Of the plane that pushes most: a thick ring, a large arrow, a word.
+        self._blocking = api.add_frame(f"{root}/blocking", show_axes=False, visible=False)
+        for name, shape in (("ring", _rim(inner=0.93)), ("arrow", _arrow(0.75, thickness=2.2))):
+            api.add_mesh_simple(
+                f"{root}/blocking/{name}",
+                *shape,
+                color=palette.BLOCKING,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        self._blocks = api.add_label(
+            f"{root}/blocks", "blocks", anchor="center-left", font_screen_scale=0.8, visible=False
+        )
         self._triangles = {
             rule: api.add_mesh_simple(
-                f"/fixture/triangles_{rule.name.lower()}",
+                f"{root}/triangles_{rule.name.lower()}",
                 vertices=np.zeros((3, 3), dtype=np.float32),
                 faces=np.array([[0, 1, 2]], dtype=np.uint32),
                 color=look.color,
@@ -62,55 +83,107 @@ class FixtureDrawing:
         self.show_planes = True
         self.show_normals = True
         self.show_triangles = True
+        self.withdrawn = False
+        """Somebody else is on the stage: draw nothing."""
+        self.inspected = False
+        """Somebody else draws the triangles, with more to say about them: let them be seen."""
 
     def update(self, step: vf.Step, surface: vf.Surface) -> None:
         """Draw what one tick was constrained by."""
         p_tip = np.asarray(step.tip.translation)
-        self._sphere.visible = self.show_sphere
-        if self.show_sphere:
-            self._sphere.position = to_view(p_tip)
-            self._sphere.scale = float(to_view(step.radius))
-        chosen = chosen_planes(step, p_tip)
-        self._draw_planes(step, p_tip, chosen)
-        self._draw_triangles(step, surface, chosen)
+        self.draw(p_tip, step.radius, step.planes, step.multipliers, surface)
 
-    def _draw_planes(self, step: vf.Step, p_tip: FloatArray, chosen: NDArray[np.intp]) -> None:
-        planes = step.planes
-        any_plane = len(chosen) > 0
+    def draw(
+        self,
+        p_tip: FloatArray,
+        radius: float,
+        planes: vf.Planes,
+        multipliers: FloatArray,
+        surface: vf.Surface,
+    ) -> None:
+        """Draw planes around p_tip (3,); each pushed back by its multiplier (m,) [m]."""
+        self._sphere.visible = self.show_sphere and not self.withdrawn
+        if self._sphere.visible:
+            self._sphere.position = to_view(p_tip)
+            self._sphere.scale = float(to_view(radius))
+        chosen = chosen_planes(planes, p_tip, radius)
+        self._draw_planes(p_tip, radius, planes, multipliers, chosen)
+        self._draw_triangles(radius, planes, surface, chosen)
+
+    def hide(self) -> None:
+        """Take everything away until the next `draw`."""
+        nodes = (self._sphere, self._calm, self._leaning, self._rims, self._normals)
+        for node in (*nodes, self._blocking, self._blocks, *self._triangles.values()):
+            node.visible = False
+
+    def _draw_planes(
+        self,
+        p_tip: FloatArray,
+        radius: float,
+        planes: vf.Planes,
+        multipliers: FloatArray,
+        chosen: NDArray[np.intp],
+    ) -> None:
+        any_plane = len(chosen) > 0 and not self.withdrawn
         for batch in (self._calm, self._leaning, self._rims):
             batch.visible = self.show_planes and any_plane
         self._normals.visible = self.show_normals and any_plane
+        strongest = float(multipliers[chosen].max(initial=0.0))
+        blocks = self.show_planes and any_plane and strongest > LEANING
+        if not blocks:
+            self._blocking.visible = self._blocks.visible = False
         if not any_plane:
             return
+        for batch, opacities in ((self._calm, CALM), (self._leaning, STRONG)):
+            if batch.opacity != opacities[self.inspected]:
+                batch.opacity = opacities[self.inspected]
         normals = planes.normals[chosen]
-        centres, radii = discs(normals, planes.offsets[chosen], p_tip, step.radius)
-        leaning = step.multipliers[chosen] > LEANING
+        centres, radii = discs(normals, planes.offsets[chosen], p_tip, radius)
+        pushes = multipliers[chosen]
+        leaning = pushes > LEANING
         rank = np.argsort(np.argsort(np.abs(planes.slack(p_tip)[chosen]), kind="stable"))
         near = (rank < CLEAR) | leaning
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
         # At the centre of its disc, where the tool is, an arrow would be hidden by the tool.
         feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
+        if strongest > LEANING:
+            looks = [
+                palette.tinted(color, push / strongest) if leans else color
+                for color, push, leans in zip(looks, pushes, leaning, strict=True)
+            ]
         colors = palette.linear(_padded(np.array(looks)).astype(np.uint8))
         scales = to_view(radii)
         for batch, place, scale in (
             (self._calm, positions, np.where(near & ~leaning, scales, 0.0)),
             (self._leaning, positions, np.where(leaning, scales, 0.0)),
             (self._rims, positions, scales),
-            (self._normals, feet, np.where(near, to_view(step.radius), 0.0)),
+            (self._normals, feet, np.where(near, to_view(radius), 0.0)),
         ):
             batch.batched_wxyzs = wxyzs
             batch.batched_positions = place
             batch.batched_scales = _padded(scale)
             batch.batched_colors = colors
+        if blocks:
+            most = int(pushes.argmax())
+            self._blocking.wxyz = wxyzs[most]
+            # A hair above the plane's own rim.
+            self._blocking.position = to_view(centres[most] + 0.015 * radius * normals[most])
+            self._blocking.scale = float(scales[most])
+            head = centres[most] + 0.75 * radii[most] * normals[most]
+            self._blocks.position = to_view(head)
+            self._blocks.text = f"blocks: pushes back {1e3 * strongest:.2g} mm"
+            self._blocking.visible = self._blocks.visible = True
 
-    def _draw_triangles(self, step: vf.Step, surface: vf.Surface, chosen: NDArray[np.intp]) -> None:
-        planes = step.planes
+    def _draw_triangles(
+        self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]
+    ) -> None:
         chosen = chosen[planes.triangles[chosen] >= 0]
-        lift = 0.01 * step.radius  # towards the tool, clear of the mesh's own triangles [m]
+        shown = self.show_triangles and not (self.withdrawn or self.inspected)
+        lift = 0.01 * radius  # towards the tool, clear of the mesh's own triangles [m]
         for rule, node in self._triangles.items():
             mine = chosen[planes.rules[chosen] == rule]
-            visible = self.show_triangles and len(mine) > 0
+            visible = shown and len(mine) > 0
             if visible:
                 corners = surface.vertices[surface.faces[planes.triangles[mine]]]  # (k, 3, 3)
                 corners = corners + lift * planes.normals[mine][:, None, :]
@@ -119,11 +192,11 @@ class FixtureDrawing:
             node.visible = visible
 
 
-def chosen_planes(step: vf.Step, p_tip: FloatArray) -> NDArray[np.intp]:
+def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArray[np.intp]:
     """Which planes to draw: those that cut the sphere, the nearest ones if there are too many."""
-    slack = step.planes.slack(p_tip)
+    slack = planes.slack(p_tip)
     order = np.argsort(np.abs(slack), kind="stable")
-    return np.sort(order[np.abs(slack[order]) < step.radius][:SLOTS])
+    return np.sort(order[np.abs(slack[order]) < radius][:SLOTS])
 
 
 def discs(
@@ -191,11 +264,11 @@ def _rim(segments: int = 40, inner: float = 0.975) -> Triangles:
     return vertices, np.vstack([out, back]).astype(np.uint32)
 
 
-def _arrow(length: float = 0.3, segments: int = 12) -> Triangles:
+def _arrow(length: float = 0.3, segments: int = 12, thickness: float = 1.0) -> Triangles:
     """An arrow along +z from the origin, for a motion sphere of radius 1."""
     around = _circle(segments)
     up = np.array([0.0, 0.0, 1.0])
-    shaft, head, waist = 0.01, 0.035, 0.7 * length
+    shaft, head, waist = 0.01 * thickness, 0.035 * thickness, 0.7 * length
     vertices = np.vstack(
         [shaft * around, shaft * around + waist * up, head * around + waist * up, [length * up]]
     )

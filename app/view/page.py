@@ -25,6 +25,7 @@ from app.view.depth import signed_distance
 from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
+from app.view.inspector import InspectorTab
 from app.view.keys import Keys
 from app.view.panel import WHO, Panel, Readouts
 from app.view.proxy import Proxy
@@ -43,7 +44,7 @@ READOUT = 0.25  # between two updates of the read-outs [s]
 PROMPT = 0.004
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (Signals, CorridorControl)
+FEATURES: tuple[Maker, ...] = (InspectorTab, Signals, CorridorControl)
 
 
 class Page:
@@ -90,7 +91,15 @@ class Page:
         server.gui.main_panel.set_width(345)
         self._readouts.panel.dock_left()
         self._readouts.panel.set_width(270)
-        stage = Stage(server, session, self._hand, self._tell, self._readouts.panel)
+        stage = Stage(
+            server,
+            session,
+            self._hand,
+            self._tell,
+            self._readouts.panel,
+            self._fixture,
+            self._proxy,
+        )
         self._features: list[Feature] = [make(stage) for make in FEATURES]
 
         self._newest: Telemetry | None = None

@@ -7,6 +7,7 @@ apart (jfly.uni-koeln.de/color).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,15 @@ BLUE: Rgb = (0, 114, 178)
 VERMILION: Rgb = (213, 94, 0)
 PURPLE: Rgb = (204, 121, 167)
 BLACK: Rgb = (20, 20, 20)
+GREY: Rgb = (110, 110, 110)
 
 BONE: Rgb = (222, 206, 178)
 SPHERE = SKY
 TOOL = BLACK
 PROXY: Rgb = (110, 70, 150)
 FORCE = VERMILION
+BLOCKING = VERMILION  # the plane that holds the tool back most
+PROBE = YELLOW
 
 
 @dataclass(frozen=True)
@@ -45,9 +49,30 @@ LOOKS: dict[vf.Rule, Look] = {
     vf.Rule.FACE: Look(BLUE, "Condition 1, face", "the closest point lies inside the face"),
     vf.Rule.RIDGE: Look(ORANGE, "Condition 2, ridge", "the plane faces the tool from an edge"),
     vf.Rule.VALLEY: Look(GREEN, "Condition 3, valley", "the face continues beyond its edge"),
-    vf.Rule.NAIVE: Look(PURPLE, "no condition", "every face in the sphere, as in rule “all”"),
+    vf.Rule.NAIVE: Look(GREY, "no condition", "every face in the sphere, as in rule “all”"),
     vf.Rule.EXIT: Look(YELLOW, "way out", "the tool is inside: only outward motion passes"),
     vf.Rule.CORRIDOR: Look(VERMILION, "corridor", "a wall along the planned path"),
+}
+
+
+class State(Enum):
+    """What the inspector says of a triangle in the motion sphere, by a colour."""
+
+    FACE = "condition 1"
+    RIDGE = "condition 2"
+    VALLEY = "condition 3"
+    CERTIFIED = "certified"
+    INACTIVE = "inactive"
+
+
+STATES: dict[State, Look] = {
+    State.FACE: Look(BLUE, "Condition 1", "closest point inside the face, tool in front"),
+    State.RIDGE: Look(ORANGE, "Condition 2", "the neighbour has the same closest point"),
+    State.VALLEY: Look(GREEN, "Condition 3", "closest point on a valley edge, tool in front"),
+    State.CERTIFIED: Look(
+        PURPLE, "certified only", "no condition, yet the certified rule needs it"
+    ),
+    State.INACTIVE: Look((150, 150, 150), "inactive", "in the sphere, but passed over"),
 }
 
 RULE_HELP: dict[str, str] = {
@@ -76,6 +101,13 @@ SOLVER_HELP: dict[Solver, str] = {
     Solver.INFEASIBLE: "no step allowed",
     Solver.IDLE: "not asked",
 }
+
+
+def tinted(color: Rgb, strength: float) -> Rgb:
+    """The colour mixed with white: strength 1 is the colour itself, 0 a pale one."""
+    share = 0.35 + 0.65 * min(max(strength, 0.0), 1.0)
+    red, green, blue = (round(share * c + (1.0 - share) * 255) for c in color)
+    return red, green, blue
 
 
 def linear(colors: NDArray[np.integer]) -> NDArray[np.uint8]:

@@ -1,0 +1,210 @@
+"""What every rule would do at one pose: planes, the step, and what leaks or is blocked needlessly.
+
+The arm and the controllers are this module's own. Leaks and blocked space are judged by sampling,
+with no code of the rules: only the list of triangles in the ball is `Surface.within`'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import vf
+from app.scene import Scene
+from app.view.inspector.picking import distances
+
+FloatArray = NDArray[np.float64]
+
+SAMPLES = 2000  # points of the surface
+PATHS = 96  # straight ways out of x
+NEAREST = 1500  # triangles that a way is tested against at most
+BLOCK = 64  # planes judged at a time
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one rule would do.
+
+    Attributes:
+        rule: its name.
+        planes: how many.
+        leaking: share of the surface in the ball that is on the allowed side of every plane.
+        blocked: share of the free space of the ball (what a straight free path reaches) that the
+            planes forbid; nan where none was found.
+        step: how far the tip would move in the next tick [m]; nan without an arm at x, or a proxy.
+        p_tip: (3,) where it would go [m].
+        gap: from there to the surface [m].
+        crosses: whether the way there meets the surface.
+    """
+
+    rule: str
+    planes: int
+    leaking: float
+    blocked: float
+    step: float
+    p_tip: FloatArray
+    gap: float
+    crosses: bool
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The arm's joints (n,) and the proxy that a step would be made from and towards."""
+
+    q: FloatArray
+    target: pin.SE3
+
+
+class Comparison:
+    """One scene's arm and a controller for each rule; for one thread at a time."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._arm = scene.arm.copy()
+        self._made: tuple[object, dict[str, vf.Controller]] = (None, {})
+
+    def trials(
+        self,
+        surface: vf.Surface,
+        x: FloatArray,
+        radius: float,
+        settings: vf.Settings,
+        pose: Pose | None,
+    ) -> tuple[Trial, ...]:
+        """Every rule at x (3,); without a `pose` no step is made."""
+        rng = np.random.default_rng(0)  # the same points each time: the numbers do not flicker
+        reach = radius + settings.tip_radius
+        contacts = surface.within(x, reach)
+        order = np.argsort(contacts.distances)
+        corners = surface.vertices[surface.faces[contacts.triangles[order]]] - x
+        on_surface = sample(corners, reach, SAMPLES, rng)
+        free = reachable(corners[:NEAREST], radius, PATHS, rng)
+        inside = surface.inside(x)
+        return tuple(
+            self._trial(rule, surface, x, radius, settings, pose, inside, on_surface, free)
+            for rule in vf.RULES
+        )
+
+    def _trial(
+        self,
+        rule: str,
+        surface: vf.Surface,
+        x: FloatArray,
+        radius: float,
+        settings: vf.Settings,
+        pose: Pose | None,
+        inside: bool,
+        on_surface: FloatArray,
+        free: FloatArray,
+    ) -> Trial:
+        fixture = vf.MeshFixture(surface, rule, radius)
+        planes = fixture.planes(x, radius, settings.standoff, settings.tip_radius, inside)
+        rho = settings.tip_radius
+        leaking = blocked = np.nan
+        if len(on_surface):
+            within = np.linalg.norm(on_surface, axis=1) <= planes.radius + rho
+            leaking = float((within & allowed(planes, x, on_surface, rho)).mean())
+        if len(free):
+            within = np.linalg.norm(free, axis=1) <= planes.radius
+            blocked = 1.0 - float((within & allowed(planes, x, free, 0.0)).mean())
+        p_tip, step, gap, crosses = x, np.nan, np.nan, False
+        if pose is not None:
+            made = self._controller(rule, surface, radius, settings).step(pose.q, pose.target)
+            start = self._arm.tip(pose.q).translation
+            p_tip = np.array(made.tip.translation)
+            move = p_tip - start
+            step = float(np.linalg.norm(move))
+            gap = surface.nearest(p_tip)[0]
+            near = surface.within(0.5 * (start + p_tip), 0.5 * step + 1e-9).triangles
+            met = distances(surface.vertices[surface.faces[near]], np.array(start), move)
+            crosses = bool(step > 0.0 and (met <= 1.0).any())
+        return Trial(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses)
+
+    def _controller(
+        self, rule: str, surface: vf.Surface, radius: float, settings: vf.Settings
+    ) -> vf.Controller:
+        key = (id(surface), radius, settings)
+        if self._made[0] != key:
+            self._made = (key, {})
+        controllers = self._made[1]
+        if rule not in controllers:
+            fixture = vf.MeshFixture(surface, rule, radius)
+            controllers[rule] = vf.Controller(self._arm, [fixture], settings)
+        return controllers[rule]
+
+
+def allowed(
+    planes: vf.Planes, x: FloatArray, points: FloatArray, tip_radius: float
+) -> NDArray[np.bool_]:
+    """Which of the points (k, 3), relative to x, are on the allowed side of every plane.
+
+    With a tip radius the planes stand closer to the surface by it.
+    """
+    offsets = planes.offsets - planes.normals @ x - tip_radius
+    left = np.arange(len(points))
+    for k in range(0, len(planes), BLOCK):
+        some = slice(k, k + BLOCK)
+        behind = (points[left] @ planes.normals[some].T < offsets[some]).any(axis=1)
+        left = left[~behind]
+    out = np.zeros(len(points), dtype=bool)
+    out[left] = True
+    return out
+
+
+def sample(corners: FloatArray, reach: float, count: int, rng: np.random.Generator) -> FloatArray:
+    """Up to `count` points, even over what triangles (m, 3, 3) have in the ball around the origin.
+
+    Each point is drawn from a triangle or from the disc in which the ball cuts its plane, whichever
+    is smaller, and kept if it lies in both.
+    """
+    if len(corners) == 0:
+        return np.zeros((0, 3))
+    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    n = np.cross(u, v)
+    doubled = np.linalg.norm(n, axis=1)
+    proper = doubled > 0.0
+    a, u, v, n, doubled = a[proper], u[proper], v[proper], n[proper], doubled[proper]
+    if len(a) == 0:
+        return np.zeros((0, 3))
+    n = n / doubled[:, None]
+    height = np.einsum("ij,ij->i", n, a)
+    disc2 = np.maximum(reach**2 - height**2, 0.0)  # squared radius of the disc
+    area = np.minimum(0.5 * doubled, np.pi * disc2)
+    if area.sum() == 0.0:
+        return np.zeros((0, 3))
+    i = rng.choice(len(a), size=count, p=area / area.sum())
+    s, t = rng.random(count), rng.random(count)
+    flip = s + t > 1.0
+    s, t = np.where(flip, 1.0 - s, s), np.where(flip, 1.0 - t, t)
+    on_triangle = a[i] + s[:, None] * u[i] + t[:, None] * v[i]
+    angle, rho = 2.0 * np.pi * rng.random(count), np.sqrt(disc2[i] * rng.random(count))
+    e = u[i] / np.linalg.norm(u[i], axis=1, keepdims=True)
+    f = np.cross(n[i], e)
+    on_disc = height[i, None] * n[i] + rho[:, None] * (
+        np.cos(angle)[:, None] * e + np.sin(angle)[:, None] * f
+    )
+    from_triangle = 0.5 * doubled[i] <= np.pi * disc2[i]
+    points = np.where(from_triangle[:, None], on_triangle, on_disc)
+    kept = np.linalg.norm(points, axis=1) <= reach
+    # Barycentric coordinates of what came from a disc.
+    w = points - a[i]
+    p = np.einsum("ij,ij->i", np.cross(w, v[i]), n[i]) / doubled[i]
+    q = np.einsum("ij,ij->i", np.cross(u[i], w), n[i]) / doubled[i]
+    kept &= from_triangle | ((p >= 0.0) & (q >= 0.0) & (p + q <= 1.0))
+    return np.asarray(points[kept])
+
+
+def reachable(
+    corners: FloatArray, radius: float, count: int, rng: np.random.Generator
+) -> FloatArray:
+    """Of `count` random points in the ball around the origin, those on a straight free path."""
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ends = directions * (radius * rng.random((count, 1)) ** (1.0 / 3.0))
+    if len(corners) == 0:
+        return ends
+    free = [not (distances(corners, np.zeros(3), end) <= 1.0).any() for end in ends]
+    return np.asarray(ends[free])

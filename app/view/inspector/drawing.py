@@ -1,0 +1,160 @@
+"""Layer: triangles in the sphere coloured by their state, the chosen one, the allowed region."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+import vf
+from app.view import palette
+from app.view.inspector.inspection import Inspection, Subject
+from app.view.inspector.region import Region
+from app.view.inspector.words import states
+from app.view.units import to_buffer, to_view
+
+FloatArray = NDArray[np.float64]
+
+LIFT = 0.008  # of the sphere's radius: towards the tool, clear of the mesh's own triangles
+DOT = 0.06  # size of the closest point's dot, of the sphere's radius
+
+
+class NearDrawing:
+    """What the inspector adds to the anatomy. What did not change is not sent again."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._meshes = {
+            state: _mesh(api, f"/inspector/near/{state.name.lower()}", look.color)
+            for state, look in palette.STATES.items()
+        }
+        self._grid = _lines(api, "/inspector/near/grid", (90, 90, 90), 1.0)
+        self._outline = _lines(api, "/inspector/chosen/outline", palette.BLACK, 5.0)
+        self._neighbours = _lines(api, "/inspector/chosen/neighbours", palette.BLACK, 2.0)
+        self._foot = _lines(api, "/inspector/chosen/foot", palette.BLACK, 2.5)
+        self._dot = api.add_icosphere(
+            "/inspector/chosen/point",
+            radius=1.0,
+            color=palette.BLACK,
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
+        )
+        self._name = api.add_label(
+            "/inspector/chosen/name", "", anchor="bottom-left", font_screen_scale=0.8, visible=False
+        )
+        self._region = _mesh(api, "/inspector/region", palette.SPHERE, opacity=0.45)
+        self._shown: dict[palette.State, bytes] = {}
+        self._grid_shown = b""
+        self._solid: Region | None = None
+        self._surface: vf.Surface | None = None
+        self._radius = 0.0
+
+    def hide(self) -> None:
+        """Take everything away until the next `draw`."""
+        chosen = (self._outline, self._neighbours, self._foot, self._dot, self._name)
+        for node in (*self._meshes.values(), self._grid, *chosen, self._region):
+            node.visible = False
+        self._shown, self._grid_shown, self._solid = {}, b"", None
+
+    def draw(self, inspection: Inspection, chosen: int) -> None:
+        """Draw an inspection and the triangle that was chosen (−1: none)."""
+        self._draw_near(inspection)
+        self._draw_chosen(inspection.subject, inspection.explanation, chosen)
+        solid = inspection.region
+        self._region.visible = solid is not None and len(solid.faces) > 0
+        if solid is not None and solid is not self._solid and len(solid.faces):
+            self._region.vertices = to_buffer(solid.vertices)
+            self._region.faces = solid.faces.astype(np.uint32)
+        self._solid = solid
+
+    def _draw_near(self, inspection: Inspection) -> None:
+        explanation = inspection.explanation
+        found = states(explanation.verdicts, explanation.covers)
+        if self._surface is not explanation.surface or self._radius != explanation.radius:
+            self._surface, self._radius = explanation.surface, explanation.radius
+            self._shown, self._grid_shown = {}, b""
+        for state, node in self._meshes.items():
+            mine = np.sort(explanation.triangles[[s is state for s in found]])
+            if len(mine):
+                corners, sides = _lifted(explanation, mine, LIFT)
+                key = mine.tobytes() + sides.tobytes()
+                if self._shown.get(state) != key:
+                    self._shown[state] = key
+                    node.vertices = to_buffer(corners.reshape(-1, 3))
+                    node.faces = np.arange(3 * len(mine), dtype=np.uint32).reshape(-1, 3)
+            node.visible = len(mine) > 0
+        every = np.sort(explanation.triangles)
+        if len(every):
+            corners, sides = _lifted(explanation, every, 1.2 * LIFT)
+            if self._grid_shown != every.tobytes() + sides.tobytes():
+                self._grid_shown = every.tobytes() + sides.tobytes()
+                self._grid.points = to_buffer(_edges(corners))
+        self._grid.visible = len(every) > 0
+
+    def _draw_chosen(self, subject: Subject, explanation: vf.Explanation, chosen: int) -> None:
+        if chosen < 0:
+            for node in (self._outline, self._neighbours, self._foot, self._dot, self._name):
+                node.visible = False
+            return
+        report = explanation.of(chosen)
+        self._outline.points = to_buffer(
+            _edges(_lifted(explanation, np.array([chosen]), 2 * LIFT)[0])
+        )
+        across = np.array([a.neighbour for a in report.across if a.neighbour >= 0], dtype=np.int64)
+        self._neighbours.visible = len(across) > 0
+        if len(across):
+            self._neighbours.points = to_buffer(_edges(_lifted(explanation, across, 1.6 * LIFT)[0]))
+        self._foot.points = to_buffer(np.array([[subject.x, report.point]]))
+        self._dot.position = to_view(report.point)
+        self._dot.scale = float(to_view(0.5 * DOT * subject.radius))
+        self._name.position = to_view(report.point)
+        self._name.text = subject.name(chosen)
+        for node in (self._outline, self._foot, self._dot, self._name):
+            node.visible = True
+
+
+def _lifted(
+    explanation: vf.Explanation, triangles: NDArray[np.int64], share: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Corners (k, 3, 3) of triangles, moved to the side of theirs that x is on, and that side."""
+    surface = explanation.surface
+    corners = surface.vertices[surface.faces[triangles]]
+    normals = surface.normals[triangles]
+    above = np.einsum("ij,ij->i", normals, explanation.x - corners[:, 0]) >= 0.0
+    lift = share * explanation.radius * np.where(above, 1.0, -1.0)[:, None] * normals
+    return np.asarray(corners + lift[:, None, :]), above
+
+
+def _edges(corners: FloatArray) -> FloatArray:
+    """The sides (3k, 2, 3) of triangles (k, 3, 3)."""
+    return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+
+
+def _mesh(
+    api: viser.SceneApi, name: str, color: palette.Rgb, opacity: float | None = None
+) -> viser.MeshHandle:
+    return api.add_mesh_simple(
+        name,
+        vertices=np.zeros((3, 3), dtype=np.float32),
+        faces=np.array([[0, 1, 2]], dtype=np.uint32),
+        color=color,
+        opacity=opacity,
+        flat_shading=True,
+        side="double",
+        cast_shadow=False,
+        receive_shadow=False,
+        visible=False,
+    )
+
+
+def _lines(
+    api: viser.SceneApi, name: str, color: palette.Rgb, thickness: float
+) -> viser.LineSegmentsHandle:
+    return api.add_line_segments(
+        name,
+        points=np.zeros((1, 2, 3), dtype=np.float32),
+        colors=color,
+        thickness=thickness,
+        thickness_units="screen",
+        visible=False,
+    )

@@ -1,0 +1,165 @@
+"""What the inspector asks of its thread, and the answer: frozen values, nothing of the page."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import vf
+from app.scene import Scene
+from app.view.inspector.compare import Comparison, Pose, Trial
+from app.view.inspector.region import Region, allowed_region
+
+FloatArray = NDArray[np.float64]
+
+MOST = 2000  # triangles examined: the nearest ones
+SLOW = 0.5  # shortest time between two comparisons [s]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is looked at: the tool at a tick, or the probe while it explores.
+
+    Attributes:
+        surface: the anatomy, or one of the paper's cases.
+        x: (3,) [m].
+        radius: of the motion sphere [m].
+        settings: standoff, tip radius and the like.
+        rule: whose planes are in force there, or shown at the probe.
+        scene: whose arm makes the trial steps.
+        step: the tick that is shown; None for a probe.
+        pose: to make trial steps from; None for a probe, or without a proxy.
+        names: of triangles, where they have any.
+    """
+
+    surface: vf.Surface
+    x: FloatArray
+    radius: float
+    settings: vf.Settings
+    rule: str
+    scene: Scene
+    step: vf.Step | None = None
+    pose: Pose | None = None
+    names: tuple[str, ...] = ()
+
+    def name(self, triangle: int) -> str:
+        """What to call a triangle."""
+        return self.names[triangle] if triangle < len(self.names) else f"#{triangle:,}"
+
+    def same_place(self, other: Subject | None) -> bool:
+        """Whether the triangles around it, and what is said of them, are those of another."""
+        return other is not None and (
+            self.surface is other.surface
+            and self.radius == other.radius
+            and self.settings == other.settings
+            and self.rule == other.rule
+            and bool((self.x == other.x).all())
+        )
+
+
+@dataclass(frozen=True)
+class Question:
+    """A subject, and what is wanted of it."""
+
+    subject: Subject
+    region: bool
+    comparison: bool
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The answer.
+
+    Attributes:
+        subject: what was looked at.
+        explanation: triangle by triangle.
+        planes: of the rule in force, as of the tick, or as they would be at the probe.
+        multipliers: (m,) how far each of the planes pushed the tip back in the tick [m].
+        region: the allowed region, None: not asked for.
+        trials: of every rule, None: not asked for.
+    """
+
+    subject: Subject
+    explanation: vf.Explanation
+    planes: vf.Planes
+    multipliers: FloatArray
+    region: Region | None
+    trials: tuple[Trial, ...] | None
+
+    def leaning(self, triangle: int) -> tuple[float, float]:
+        """How far the planes under a triangle pushed the tip back [m], and their share of all."""
+        total = float(self.multipliers.sum())
+        mine = float(self.multipliers[self.planes.triangles == triangle].sum())
+        return mine, mine / total if total > 0.0 else 0.0
+
+    def foremost(self) -> int:
+        """The triangle whose plane pushes most; the nearest one if none does; −1 without any."""
+        if len(self.multipliers) and self.multipliers.max() > 0.0:
+            return int(self.planes.triangles[self.multipliers.argmax()])
+        return int(self.explanation.triangles[0]) if len(self.explanation) else -1
+
+
+class Inspector:
+    """Answers questions, one after the other; keeps what did not change."""
+
+    def __init__(self) -> None:
+        self._comparison: tuple[Scene, Comparison] | None = None
+        self._compared = 0.0  # when [s]
+        self._last: Inspection | None = None
+
+    def answer(self, question: Question) -> Inspection:
+        """Examine the subject."""
+        subject, last = question.subject, self._last
+        s = subject.settings
+        same = last is not None and subject.same_place(last.subject)
+        if last is not None and same:
+            explanation = last.explanation
+        else:
+            explanation = vf.explain(
+                subject.surface, subject.x, subject.radius, s.standoff, s.tip_radius, MOST
+            )
+        if subject.step is not None:
+            planes, multipliers = subject.step.planes, subject.step.multipliers
+        else:
+            planes = _planes(subject, explanation)
+            multipliers = np.zeros(len(planes))
+        region = None
+        if question.region:
+            if last is not None and same and _equal(last.planes, planes):
+                region = last.region
+            region = region or allowed_region(planes, subject.x)
+        trials = last.trials if last is not None and question.comparison else None
+        if question.comparison and (trials is None or time.monotonic() > self._compared + SLOW):
+            trials = self._compare(subject)
+            self._compared = time.monotonic()
+        self._last = Inspection(subject, explanation, planes, multipliers, region, trials)
+        return self._last
+
+    def _compare(self, subject: Subject) -> tuple[Trial, ...]:
+        if self._comparison is None or self._comparison[0] is not subject.scene:
+            self._comparison = subject.scene, Comparison(subject.scene)
+        return self._comparison[1].trials(
+            subject.surface, subject.x, subject.radius, subject.settings, subject.pose
+        )
+
+
+def _equal(a: vf.Planes, b: vf.Planes) -> bool:
+    return (
+        a.radius == b.radius
+        and np.array_equal(a.normals, b.normals)
+        and np.array_equal(a.offsets, b.offsets)
+    )
+
+
+def _planes(subject: Subject, explanation: vf.Explanation) -> vf.Planes:
+    """The planes of the subject's rule, where no tick has made them."""
+    if subject.rule == "paper":
+        return explanation.paper
+    if subject.rule == "certified":
+        return explanation.certified
+    s = subject.settings
+    fixture = vf.MeshFixture(subject.surface, subject.rule, subject.radius)
+    return fixture.planes(subject.x, subject.radius, s.standoff, s.tip_radius, explanation.inside)

@@ -1,0 +1,123 @@
+"""Layer: the inspector's own point, its gizmo, the planes there; and the surface of a case."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.scene import Scene
+from app.view import palette
+from app.view.camera import DIRECTION, FIELD_OF_VIEW, View
+from app.view.fixture import FixtureDrawing
+from app.view.inspector import figures
+from app.view.inspector.inspection import Inspection
+from app.view.units import to_buffer, to_view
+
+FloatArray = NDArray[np.float64]
+
+GIZMO_SIZE = 60.0  # length of its arrows [px]: smaller than the proxy's
+BALL = 0.05  # radius of its dot, of the sphere's
+# Where the cases are shown: this far from the anatomy, which is then behind the camera [m].
+ASIDE = 0.6
+
+
+class Probe:
+    """A yellow dot with a small gizmo of its own; it moves nothing but itself."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self.gizmo = api.add_transform_controls(
+            "/probe/gizmo",
+            scale=GIZMO_SIZE,
+            fixed=True,
+            line_width=2.0,
+            disable_rotations=True,
+            depth_test=False,
+            opacity=0.9,
+            visible=False,
+        )
+        self._ball = api.add_icosphere(
+            "/probe/ball",
+            radius=1.0,
+            color=palette.PROBE,
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
+        )
+        self._name = api.add_label(
+            "/probe/name", "probe", anchor="bottom-right", font_screen_scale=0.8, visible=False
+        )
+        self._fixture = FixtureDrawing(api, "/probe/fixture")
+        self._fixture.show_triangles = False  # the inspector draws them
+        self._fixture.hide()
+        self._case = api.add_mesh_simple(
+            "/probe/case",
+            vertices=np.zeros((3, 3), dtype=np.float32),
+            faces=np.array([[0, 1, 2]], dtype=np.uint32),
+            color=palette.BONE,
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+            visible=False,
+        )
+        self._case_names = [
+            api.add_label(f"/probe/{name}", name, anchor="center-center", visible=False)
+            for name in figures.NAMES.values()
+        ]
+
+    def hide(self) -> None:
+        """Take everything away."""
+        for node in (self.gizmo, self._ball, self._name, self._case, *self._case_names):
+            node.visible = False
+        self._fixture.hide()
+
+    def put(self, x: FloatArray) -> None:
+        """Move the gizmo to x (3,) [m]."""
+        self.gizmo.position = to_view(x)
+
+    def show_case(self, case: figures.Case | None, R: FloatArray, origin: FloatArray) -> None:
+        """Draw the two triangles of a case, turned and placed; None: no case."""
+        for node in (self._case, *self._case_names):
+            node.visible = case is not None
+        if case is None:
+            return
+        vertices, faces = figures.shape(case)
+        self._case.vertices = to_buffer(vertices @ R.T + origin)
+        self._case.faces = faces.astype(np.uint32)
+        for name, face in zip(self._case_names, faces, strict=True):
+            # Near the far end of each, towards the viewer.
+            outer = vertices[next(v for v in face if v > 1)]
+            place = 0.8 * outer - np.array([0.0, 0.1 * figures.LENGTH, 0.0])
+            name.position = to_view(R @ place + origin)
+
+    def draw(self, inspection: Inspection) -> None:
+        """Draw the probe and the planes of its rule."""
+        subject = inspection.subject
+        self._ball.scale = float(to_view(BALL * subject.radius))
+        self._ball.position = to_view(subject.x)
+        self._name.position = to_view(subject.x)
+        for node in (self.gizmo, self._ball, self._name):
+            node.visible = True
+        self._fixture.draw(
+            subject.x, subject.radius, inspection.planes, inspection.multipliers, subject.surface
+        )
+
+
+def beside(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Where cases stand in a scene: rotation (3, 3) and origin (3,).
+
+    The shared edge (y) points away from the anatomy, so whoever looks along it has that behind.
+    """
+    toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
+    up = np.array([0.0, 0.0, 1.0])
+    R = np.column_stack([np.cross(toward, up), toward, up])
+    return R, scene.T_base_start.translation + ASIDE * toward
+
+
+def case_view(R: FloatArray, origin: FloatArray) -> View:
+    """Along the edge, a little from above and from the right: the paper's drawing, with depth."""
+    distance = 1.35 * figures.LENGTH / np.sin(FIELD_OF_VIEW / 2.0)
+    away = np.array([0.14, -0.97, 0.2])
+    centre = R @ np.array([0.0, 0.0, 0.1 * figures.LENGTH]) + origin
+    return View(centre + distance * R @ (away / np.linalg.norm(away)), centre)

@@ -1,0 +1,371 @@
+"""The tab "Inspector": its controls, and what follows from them."""
+
+from __future__ import annotations
+
+import html
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+import vf
+from app.messages import Telemetry
+from app.scene import Scene
+from app.settings import Options
+from app.view import camera
+from app.view.feature import Stage
+from app.view.inspector import figures, words
+from app.view.inspector.compare import Pose
+from app.view.inspector.drawing import NearDrawing
+from app.view.inspector.inspection import Inspection, Inspector, Question, Subject
+from app.view.inspector.picking import pick
+from app.view.inspector.probe import Probe, beside, case_view
+from app.view.inspector.worker import Worker
+from app.view.units import VIEW_SCALE, pose_from_view
+
+FloatArray = NDArray[np.float64]
+
+ASK = 0.08  # shortest time between two questions to the thread [s]
+HERE = "this anatomy"
+BACK, MAIN, ON = "◀", "Main", "▶"
+RULES = ("paper", "certified", "all")  # whose planes are shown at the probe
+FARTHEST = 2.0  # a probe farther than this from the base is a mistake [m]
+
+_NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:#444"
+_INTRO = (
+    f"<div style='{_NOTE}'>Colours every triangle in the motion sphere by what the paper’s "
+    "conditions make of it. Click one on the anatomy, or step through them.</div>"
+)
+
+
+class InspectorTab:
+    """A part of the page, see `app.view.feature`. Shared by all who look on.
+
+    Clicks come on the event loop and only change a few attributes, each at once; the view thread
+    reads them. Orders to the session go through the hand.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._scene = stage.session.scene
+        self._worker: Worker[Question, Inspection] = Worker("inspector", Inspector().answer)
+        self._near = NearDrawing(stage.server.scene)
+        self._probe = Probe(stage.server.scene)
+        self._on = False
+        self._drawn: tuple[Inspection, int] | None = None
+        self._asked = 0.0
+        self._chosen: int | None = None  # None: whichever blocks, or is nearest
+        self._region = False
+        self._comparing = False
+        self._exploring = False
+        self._resume = False  # once the exploring is over
+        self._case: figures.Case | None = None
+        self._surface = self._scene.surface  # what the probe moves over
+        self._probe_at = np.zeros(3)  # replaced as a whole
+        self._rule = RULES[0]
+        with stage.left.add_tab("Inspector"):
+            self._controls(stage.server.gui)
+
+    # What the page calls, from the view thread
+
+    def set_scene(self, scene: Scene) -> None:
+        self._scene = scene
+        self._chosen = None
+        if self._exploring:
+            self._stop_exploring()
+        self._surface = scene.surface
+        self._near.hide()
+        self._drawn = None
+
+    def frame(self, telemetry: Telemetry) -> None:
+        fixture = self._stage.fixture
+        fixture.inspected = self._on
+        fixture.withdrawn = self._on and self._exploring
+        self._stage.proxy.gizmo.visible = not fixture.withdrawn
+        if not self._on:
+            if self._drawn is not None:
+                self._drawn = None
+                self._near.hide()
+            return
+        now = time.monotonic()
+        if now >= self._asked + ASK:
+            subject = self._subject(telemetry)
+            if subject is not None:
+                self._asked = now
+                self._worker.ask(Question(subject, self._region, self._comparing))
+        inspection = self._newest()
+        if inspection is None:
+            return
+        chosen = self._chosen_in(inspection)
+        if self._drawn is not None and self._drawn[0] is inspection and self._drawn[1] == chosen:
+            return
+        self._drawn = inspection, chosen
+        self._near.draw(inspection, chosen)
+        if self._exploring:
+            self._probe.draw(inspection)
+
+    def read_out(self, telemetry: Telemetry) -> None:
+        self._freeze.value = self._exploring
+        self._cases.value = HERE if self._case is None else self._case.name
+        self._rule_choice.visible = self._exploring
+        self._intro.visible = not self._on
+        inspection = self._newest() if self._on else None
+        if inspection is None:
+            for page in (self._report, self._list, self._solid, self._rules):
+                page.content = ""
+            return
+        chosen = self._chosen_in(inspection)
+        self._report.content = words.triangle(inspection, chosen)
+        self._list.content = words.nearest(inspection, chosen)
+        self._solid.content = words.region(inspection) if self._region else ""
+        self._rules.content = (
+            words.comparison(inspection.trials, inspection)
+            if inspection.trials is not None and self._comparing
+            else ""
+        )
+
+    # What there is to see
+
+    def _newest(self) -> Inspection | None:
+        """The thread's newest answer, unless it is about something that is gone."""
+        inspection = self._worker.newest()
+        if inspection is None:
+            return None
+        subject = inspection.subject
+        if subject.scene is not self._scene or (subject.step is None) != self._exploring:
+            return None
+        if self._exploring and subject.surface is not self._surface:
+            return None
+        return inspection
+
+    def _subject(self, telemetry: Telemetry) -> Subject | None:
+        options, scene, step = self._stage.session.options, self._scene, telemetry.step
+        if step is None or telemetry.scene != scene.version:
+            return None
+        settings = _settings(options)
+        if not self._exploring:
+            target = telemetry.target
+            return Subject(
+                scene.surface, np.array(step.tip.translation), step.radius, settings,
+                options.rule, scene, step, None if target is None else Pose(telemetry.q, target),
+            )  # fmt: skip
+        if self._case is None:
+            return Subject(self._surface, self._probe_at, step.radius, settings, self._rule, scene)
+        return Subject(
+            self._surface, self._probe_at, figures.RADIUS, settings, self._rule, scene,
+            names=tuple(figures.NAMES.values()),
+        )  # fmt: skip
+
+    def _chosen_in(self, inspection: Inspection) -> int:
+        chosen = self._chosen
+        if chosen is None or chosen >= len(inspection.subject.surface.faces):
+            return inspection.foremost()
+        return chosen
+
+    # What the operator does
+
+    def _controls(self, gui: viser.GuiApi) -> None:
+        self._inspect: Any = gui.add_checkbox(
+            "Inspect", False, hint="Off, the inspector costs nothing and draws nothing."
+        )
+        self._intro = gui.add_html(_INTRO)
+        self._freeze: Any = gui.add_checkbox(
+            "Freeze and explore",
+            False,
+            hint="Pauses the loop. Drag the yellow probe and watch the conditions fire.",
+        )
+        self._cases: Any = gui.add_dropdown(
+            "Explore",
+            (HERE, *figures.CASES),
+            initial_value=HERE,
+            hint="The cases of the paper’s Figures 4 and 5, two triangles each.",
+        )
+        self._expect = gui.add_html("")
+        self._rule_choice = gui.add_dropdown(
+            "Planes of",
+            RULES,
+            initial_value=self._rule,
+            hint="Whose planes the probe shows.",
+            visible=False,
+        )
+        steps = gui.add_button_group(
+            "Triangle",
+            (BACK, MAIN, ON),
+            hint="By distance; main is the one whose plane blocks the tool, or else the nearest.",
+        )
+        self._report = gui.add_html("")
+        self._list = gui.add_html("")
+        region = gui.add_checkbox(
+            "Allowed region", False, hint="The sphere cut by the planes in force, as a solid."
+        )
+        self._solid = gui.add_html("")
+        compare = gui.add_checkbox(
+            "Compare rules", False, hint="What every rule would do from this very pose."
+        )
+        self._rules = gui.add_html("")
+
+        self._bind(self._inspect, lambda client, value: self._switch(client, bool(value)))
+        self._bind(region, lambda _client, value: self._set(region=bool(value)))
+        self._bind(compare, lambda _client, value: self._set(comparing=bool(value)))
+        self._bind(self._freeze, lambda client, value: self._explore(client, bool(value)))
+        self._bind(self._cases, lambda client, value: self._take_case(client, str(value)))
+        self._bind(self._rule_choice, lambda _client, value: self._take_rule(str(value)))
+
+        @steps.on_click
+        async def _step(event: viser.GuiEvent[Any]) -> None:
+            self._advance(str(event.target.value))
+
+        @self._probe.gizmo.on_update
+        async def _moved(event: viser.TransformControlsEvent) -> None:
+            self._move_probe(np.array(event.target.wxyz), np.array(event.target.position))
+
+    def _bind(self, control: Any, take: Callable[[viser.ClientHandle, Any], None]) -> None:
+        """Let the hand's worker act on what a client set."""
+
+        @control.on_update
+        async def _updated(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:  # None: we set it ourselves
+                self._stage.hand.submit(take, event.client, event.target.value)
+
+    def _set(self, region: bool | None = None, comparing: bool | None = None) -> None:
+        self._region = self._region if region is None else region
+        self._comparing = self._comparing if comparing is None else comparing
+
+    def _switch(self, client: viser.ClientHandle, on: bool) -> None:
+        scene = self._stage.server.scene
+        if on == self._on:
+            return
+        if on:
+            scene.on_click()(self._clicked)  # type: ignore[arg-type]
+        else:
+            scene.remove_click_callback(self._clicked)
+            if self._exploring:
+                self._explore(client, False)
+        self._on = on
+
+    async def _clicked(self, event: viser.SceneClickEvent) -> None:
+        self._stage.hand.submit(self._pick, event.ray_origin, event.ray_direction)
+
+    def _pick(self, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
+        surface = self._surface if self._exploring else self._scene.surface
+        try:
+            triangle = pick(surface, np.asarray(origin) / VIEW_SCALE, direction)
+        except ValueError:
+            return  # no browser sends that
+        if triangle >= 0:
+            self._chosen = triangle
+
+    def _advance(self, where: str) -> None:
+        inspection = self._newest()
+        if inspection is None or where == MAIN or not len(inspection.explanation):
+            self._chosen = None
+            return
+        explanation = inspection.explanation
+        row = explanation.row(self._chosen_in(inspection))
+        row += 1 if where == ON else -1
+        self._chosen = int(explanation.triangles[min(max(row, 0), len(explanation) - 1)])
+
+    def _take_rule(self, rule: str) -> None:
+        if rule in RULES:
+            self._rule = rule
+
+    def _explore(self, client: viser.ClientHandle, on: bool) -> None:
+        if on == self._exploring:
+            return
+        if not on:
+            self._stop_exploring()
+            step = self._stage.session.latest().step
+            if step is not None:
+                camera.move(client, camera.tool_view(step))
+            return
+        self._start_exploring(client)
+        self._begin_here(client)
+
+    def _take_case(self, client: viser.ClientHandle, name: str) -> None:
+        if name != HERE and name not in figures.CASES:
+            return
+        if not self._exploring:
+            if name == HERE:
+                return
+            self._start_exploring(client)
+        if name == HERE:
+            self._begin_here(client)
+            return
+        case = figures.CASES[name]
+        R, origin = beside(self._scene)
+        self._surface, x = figures.place(case, R, origin)
+        self._case, self._chosen = case, None
+        self._probe.show_case(case, R, origin)
+        self._put(x)
+        self._expect.content = (
+            f"<div class='vf-expect' style='{_NOTE}'><b>{name}.</b> {html.escape(case.expect)} "
+            "Drag the probe and see.</div>"
+        )
+        camera.move(client, case_view(R, origin))
+
+    def _start_exploring(self, client: viser.ClientHandle) -> None:
+        session = self._stage.session
+        self._resume = not session.latest().paused
+        session.pause()
+        self._switch(client, True)
+        self._inspect.value = True
+        self._exploring = True
+
+    def _begin_here(self, client: viser.ClientHandle) -> None:
+        """Put the probe beside the tool, over the surface."""
+        scene, step = self._scene, self._stage.session.latest().step
+        tip = scene.T_base_start if step is None else step.tip
+        radius = 5e-3 if step is None else step.radius
+        self._case, self._surface, self._chosen = None, scene.surface, None
+        self._probe.show_case(None, np.eye(3), np.zeros(3))
+        self._expect.content = (
+            f"<div class='vf-expect' style='{_NOTE}'>The loop is paused. Drag the yellow probe "
+            "over the surface: over a face Condition 1 fires, over a ridge 2, in a valley 3.</div>"
+        )
+        x = beside_tool(scene.surface, np.array(tip.translation), radius)
+        self._put(x)
+        away = camera.DIRECTION * 3.4 * radius / np.sin(camera.FIELD_OF_VIEW / 2.0)
+        camera.move(client, camera.View(x + away, x))
+
+    def _stop_exploring(self) -> None:
+        self._exploring, self._case, self._chosen = False, None, None
+        self._surface = self._scene.surface
+        self._expect.content = ""
+        self._probe.hide()
+        if self._resume:
+            self._stage.hand.submit(self._stage.session.resume)
+
+    def _put(self, x: FloatArray) -> None:
+        self._probe_at = x
+        self._probe.put(x)
+
+    def _move_probe(self, wxyz: FloatArray, position: FloatArray) -> None:
+        try:
+            x = pose_from_view(wxyz, position).translation
+        except ValueError:
+            return
+        if self._exploring and float(np.linalg.norm(x)) < FARTHEST:
+            self._probe_at = np.array(x)
+
+
+def beside_tool(surface: vf.Surface, p_tip: FloatArray, radius: float) -> FloatArray:
+    """A spot (3,) one and a half spheres beside the tool, a third of one off the surface."""
+    side = np.cross([0.0, 0.0, 1.0], camera.DIRECTION)
+    spot = p_tip + 1.5 * radius * side / np.linalg.norm(side)
+    distance, triangle, point = surface.nearest(spot)
+    out = (spot - point) / distance if distance > 1e-9 else surface.normals[triangle]
+    if surface.inside(spot):
+        out = -out
+    return np.asarray(point + radius / 3.0 * out)
+
+
+def _settings(options: Options) -> vf.Settings:
+    return vf.Settings(
+        dt=options.dt,
+        standoff=options.standoff,
+        tip_radius=options.tip_radius,
+        force_gain=options.force_gain,
+    )

@@ -1,0 +1,327 @@
+"""What the inspector says, as HTML made from an inspection. Pure functions."""
+
+from __future__ import annotations
+
+import html
+
+import numpy as np
+
+from app.view import palette
+from app.view.fixture import LEANING
+from app.view.inspector.compare import Trial
+from app.view.inspector.inspection import Inspection, Subject
+from vf import Cover, Edge, Feature, Rule, TriangleReport, Verdict
+
+NEAREST = 8  # rows of the list of triangles
+
+_BOX = "margin:0 .75em .5em;font-size:12px;line-height:1.35"
+_SMALL = "color:#666;font-size:11px"
+
+_EDGES = {
+    Edge.RIDGE: "a ridge",
+    Edge.VALLEY: "a valley",
+    Edge.FLAT: "flat",
+    Edge.BOUNDARY: "an open rim",
+    Edge.NON_MANIFOLD: "shared by more than two faces",
+}
+_SHORT = {
+    Verdict.FACE: "Condition 1",
+    Verdict.RIDGE: "Condition 2",
+    Verdict.VALLEY: "Condition 3",
+    Verdict.SHARED: "Condition 2, shared",
+    Verdict.BEHIND: "passed over: tool behind it",
+    Verdict.APART: "passed over: neighbour nearer",
+    Verdict.BEHIND_VALLEY: "passed over: tool behind it",
+    Verdict.OPEN: "passed over: open edge",
+    Verdict.NO_AREA: "passed over: no area",
+    Verdict.OUTSIDE: "outside the sphere",
+}
+
+
+def reason(report: TriangleReport, subject: Subject) -> str:
+    """Why the paper's conditions took a triangle or passed it over, in a sentence or two."""
+    it = "its closest point"
+    corner = report.feature >= Feature.VERTEX_0
+    on = "in a corner" if corner else "on an edge"
+    match report.verdict:
+        case Verdict.FACE:
+            return f"Condition 1: {it} is inside the face and the tool is in front of it."
+        case Verdict.RIDGE | Verdict.SHARED:
+            if corner:
+                text = f"Condition 2: {it} is a corner, and a neighbour’s is the same: "
+            else:
+                text = f"Condition 2: {it} is on a ridge, and the neighbour’s is the same: "
+            text += "one plane for both, facing the tool."
+            if report.verdict is Verdict.SHARED:
+                text += f" It stands under {subject.name(report.owner)}."
+            return text
+        case Verdict.VALLEY:
+            return (
+                f"Condition 3: {it} is {on} that is a valley and the tool is in front of the face: "
+                "the face’s plane goes on beyond its edge."
+            )
+        case Verdict.BEHIND:
+            return f"Passed over: {it} is inside the face, but the tool is behind the face."
+        case Verdict.APART:
+            return (
+                f"Passed over: closest point {on}, neighbour’s closest point differs. The "
+                "neighbour is nearer and answers for both."
+            )
+        case Verdict.BEHIND_VALLEY:
+            return f"Passed over: {it} is {on} that is a valley, but the tool is behind the face."
+        case Verdict.OPEN:
+            return (
+                f"Passed over: {it} is {on} without one single neighbour (a hole or a seam), "
+                "which the paper’s conditions do not foresee."
+            )
+        case Verdict.NO_AREA:
+            return "Passed over: the triangle has no area, so it has no normal."
+    beyond = report.distance - subject.radius - subject.settings.tip_radius
+    if beyond > 0.0:
+        return f"Not asked: {beyond * 1e3:.2f} mm beyond the motion sphere."
+    return "Not examined: more triangles than the inspector looks at are nearer."
+
+
+def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
+    """What the certified rule made of a triangle, in a sentence."""
+    subject, explanation = inspection.subject, inspection.explanation
+    match report.cover:
+        case Cover.GAVE:
+            rule = Rule(explanation.certified.rules[report.certified])
+            kind = {
+                Rule.FACE: "its face’s plane",
+                Rule.VALLEY: "its face’s plane, which goes on across a valley",
+            }.get(rule, "a plane that faces the tool from its closest part")
+            return f"Gave a plane: {kind}."
+        case Cover.BEHIND_ONE:
+            return f"Needs none: wholly behind the plane of {subject.name(report.covered_by)}."
+        case Cover.BEHIND_SEVERAL:
+            return "Needs none: its part in the sphere is behind the planes taken together."
+    if explanation.inside:
+        return "Not asked: the tool is inside, so there is one plane only, towards the way out."
+    return "Not judged: outside the sphere in which the planes are valid."
+
+
+def triangle(inspection: Inspection, chosen: int) -> str:
+    """All about one triangle."""
+    subject, explanation = inspection.subject, inspection.explanation
+    if chosen < 0:
+        return _box("No triangle in the motion sphere. Click one, or move nearer.")
+    report = explanation.of(chosen)
+    row = explanation.row(chosen)
+    state = palette.STATES[state_of(report)]
+    rank = f"no. {row + 1:,} of {explanation.total:,} by distance" if row >= 0 else state.name
+    side = "in front" if report.height >= 0.0 else "behind"
+    rows = [
+        _row("closest point", _feature(report)),
+        _row("", "(" + ", ".join(f"{c * 1e3:.2f}" for c in report.point) + ") mm"),
+        _row("distance", f"{report.distance * 1e3:.3f} mm"),
+        _row("tool is", f"{side} ({report.height * 1e3:+.3f} mm)"),
+    ]
+    for across in report.across:
+        rows.append(_row(f"across edge {across.edge}", _EDGES[across.kind]))
+        if across.neighbour >= 0:
+            gap = "the same" if across.same else f"{across.gap * 1e3:.3f} mm away"
+            rows.append(_row(f"{subject.name(across.neighbour)}’s closest pt", gap))
+    head = (
+        f"<div style='{_BOX};margin-bottom:.2em'><span class='vf-triangle' "
+        f"data-triangle='{chosen}' style='display:inline-block;padding:1px 8px;border-radius:3px;"
+        f"font-weight:600;color:{_on(state.color)};background:{palette.css(state.color)}'>"
+        f"{html.escape(subject.name(chosen))}</span> <span style='{_SMALL}'>{rank}</span></div>"
+    )
+    verdict = (
+        f"<div class='vf-reason' style='border-left:4px solid {palette.css(state.color)};"
+        "padding:2px 0 2px 7px;margin:3px 0;background:#f6f6f6'>"
+        f"{html.escape(reason(report, subject))}</div>"
+    )
+    table = f"<table style='width:100%;border-collapse:collapse'>{''.join(rows)}</table>"
+    more = f"<div style='{_SMALL}'>Certified: {html.escape(certified_reason(report, inspection))}"
+    more += f"</div>{_plane(inspection, report)}"
+    return head + f"<div style='{_BOX}'>{verdict}{table}{more}</div>"
+
+
+def nearest(inspection: Inspection, chosen: int) -> str:
+    """The nearest triangles, one a line, and how many there are of each kind."""
+    subject, explanation = inspection.subject, inspection.explanation
+    first = max(0, min(explanation.row(chosen) - NEAREST // 2, len(explanation) - NEAREST))
+    lines = []
+    for report in explanation[first : first + NEAREST]:
+        state = palette.STATES[state_of(report)]
+        push, _ = inspection.leaning(report.triangle)
+        mark = "background:#e9eef5;font-weight:600" if report.triangle == chosen else ""
+        pushes = " ◀" if push > LEANING else ""
+        lines.append(
+            f"<tr style='{mark}'><td style='padding:0 4px 0 0'>"
+            f"<span style='color:{palette.css(state.color)}'>■</span> "
+            f"{html.escape(subject.name(report.triangle))}</td><td style='text-align:right;"
+            f"padding-right:6px'>{report.distance * 1e3:.2f}</td>"
+            f"<td style='font-size:11px'>{html.escape(_SHORT[report.verdict])}{pushes}</td></tr>"
+        )
+    note = ""
+    if explanation.total > len(explanation):
+        note = (
+            f"<div style='{_SMALL}'>Only the nearest {len(explanation):,} of "
+            f"{explanation.total:,} triangles are examined and drawn.</div>"
+        )
+    table = "<table style='width:100%;border-collapse:collapse;font-size:11.5px'>"
+    return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
+
+
+def comparison(trials: tuple[Trial, ...], inspection: Inspection) -> str:
+    """The rules side by side: columns are rules, as there are fewer of them than lines fit."""
+    x = inspection.subject.x
+    cell = "padding:0 0 0 4px;text-align:right;white-space:nowrap"
+
+    def line(name: str, values: list[str], hint: str) -> str:
+        cells = "".join(f"<td style='{cell}'>{v}</td>" for v in values)
+        return f"<tr title='{html.escape(hint)}'><td style='color:#555'>{name}</td>{cells}</tr>"
+
+    head = "".join(f"<th style='{cell};font-weight:600'>{t.rule}</th>" for t in trials)
+    lines = [
+        line("planes", [f"{t.planes:,}" for t in trials], "how many half-spaces"),
+        line(
+            "leak",
+            [_alarm(_percent(t.leaking), t.leaking > 0.0) for t in trials],
+            "share of the surface in the sphere on the allowed side of every plane (sampled)",
+        ),
+        line(
+            "blocked",
+            [_percent(t.blocked) for t in trials],
+            "share of the free space in the sphere that the planes forbid (sampled)",
+        ),
+    ]
+    if any(np.isfinite(t.step) for t in trials):
+        lines += [
+            line(
+                "step, µm",
+                [f"{t.step * 1e6:.0f}" for t in trials],
+                "how far the tip would go in the next tick",
+            ),
+            line(
+                "end gap, µm",
+                [_alarm(f"{t.gap * 1e6:.0f}", t.crosses) for t in trials],
+                "from where it would go to the surface",
+            ),
+        ]
+        crossing = [t.rule for t in trials if t.crosses]
+        note = f"Would go through the surface: {', '.join(crossing)}." if crossing else ""
+        moves = "<br>".join(
+            f"{t.rule}: ({', '.join(f'{c * 1e6:+.0f}' for c in t.p_tip - x)}) µm" for t in trials
+        )
+        moves = f"<div style='{_SMALL}'>Tip would move by (x, y, z)<br>{moves}</div>"
+    else:
+        note, moves = "No step: there is no proxy to follow here.", ""
+    return (
+        f"<div class='vf-rules' style='{_BOX}'><table style='width:100%;border-collapse:collapse;"
+        f"font-size:11px;font-variant-numeric:tabular-nums'><tr><th></th>{head}</tr>"
+        f"{''.join(lines)}</table><div style='{_SMALL}'>{html.escape(note)}</div>{moves}"
+        f"<div style='{_SMALL}'>Leak: surface on the allowed side of all planes. Blocked: free "
+        "space behind one.</div></div>"
+    )
+
+
+def region(inspection: Inspection) -> str:
+    """How much of the sphere is allowed."""
+    solid = inspection.region
+    if solid is None:
+        return ""
+    if not len(solid.faces):
+        return _box("Allowed region: no room that could be drawn.")
+    return _box(
+        f"Allowed region: {solid.share:.0%} of the sphere (drawn as a polyhedron inside it)."
+    )
+
+
+def state_of(report: TriangleReport) -> palette.State:
+    """Which colour a triangle has."""
+    return states(np.array([report.verdict]), np.array([report.cover]))[0]
+
+
+def states(verdicts: np.ndarray, covers: np.ndarray) -> list[palette.State]:
+    """Colours of triangles by their verdicts and covers (k,)."""
+    by_condition = {
+        Verdict.FACE: palette.State.FACE,
+        Verdict.RIDGE: palette.State.RIDGE,
+        Verdict.SHARED: palette.State.RIDGE,
+        Verdict.VALLEY: palette.State.VALLEY,
+    }
+    return [
+        by_condition.get(
+            Verdict(verdict),
+            palette.State.CERTIFIED if cover == Cover.GAVE else palette.State.INACTIVE,
+        )
+        for verdict, cover in zip(verdicts, covers, strict=True)
+    ]
+
+
+def _plane(inspection: Inspection, report: TriangleReport) -> str:
+    """The plane in force under this triangle, and whether the QP leans on it."""
+    subject, planes = inspection.subject, inspection.planes
+    under = report.triangle
+    rows = np.flatnonzero(planes.triangles == under)
+    if not len(rows) and subject.rule == "paper" and report.owner >= 0:
+        under = report.owner
+        rows = np.flatnonzero(planes.triangles == under)
+    if not len(rows):
+        text = f"No plane in force (rule {subject.rule})."
+        return f"<div class='vf-push' style='margin-top:3px'>{text}</div>"
+    k = int(rows[0])
+    normal = ", ".join(f"{c:+.2f}" for c in planes.normals[k])
+    slack = float(planes.slack(subject.x)[k])
+    text = f"Plane (rule {subject.rule}): n = ({normal}), {slack * 1e3:.3f} mm from here."
+    if subject.step is not None:
+        push, share = inspection.leaning(under)
+        if push > LEANING:
+            most = " It blocks the way." if push == inspection.multipliers.max() else ""
+            strong = f"The QP leans on it: pushed back by {push * 1e3:.3f} mm, {share:.0%}.{most}"
+            color = palette.css(palette.BLOCKING)
+            text += f"<br><b style='color:{color}'>{strong}</b>"
+        else:
+            text += "<br>The QP does not lean on it now."
+    return f"<div class='vf-push' style='margin-top:3px'>{text}</div>"
+
+
+def _counts(inspection: Inspection) -> str:
+    explanation = inspection.explanation
+    found = states(explanation.verdicts, explanation.covers)
+    parts = [
+        f"<span style='white-space:nowrap'><span style='color:{palette.css(look.color)}'>■</span> "
+        f"{html.escape(look.name)}: {found.count(state)}</span>"
+        for state, look in palette.STATES.items()
+    ]
+    return f"<div style='margin-top:4px;font-size:11px'>{' &nbsp;'.join(parts)}</div>"
+
+
+def _feature(report: TriangleReport) -> str:
+    if report.feature == Feature.FACE:
+        return "inside the face"
+    if report.feature <= Feature.EDGE_2:
+        return f"on edge {report.feature - Feature.EDGE_0}"
+    return f"corner {report.feature - Feature.VERTEX_0}"
+
+
+def _percent(share: float) -> str:
+    if not np.isfinite(share):
+        return "–"
+    return f"{share:.0%}" if share == 0.0 or share >= 0.01 else "<1%"
+
+
+def _alarm(text: str, on: bool) -> str:
+    color = palette.css(palette.BLOCKING)
+    return f"<b style='color:{color}'>{text}</b>" if on else text
+
+
+def _on(color: palette.Rgb) -> str:
+    """Black or white, whichever is read more easily on a colour."""
+    return "#000" if 0.3 * color[0] + 0.59 * color[1] + 0.11 * color[2] > 120 else "#fff"
+
+
+def _box(text: str) -> str:
+    return f"<div style='{_BOX}'>{html.escape(text)}</div>"
+
+
+def _row(name: str, value: str) -> str:
+    return (
+        f"<tr><td style='color:#555;padding:0'>{html.escape(name)}</td>"
+        f"<td style='text-align:right;padding:0'>{html.escape(value)}</td></tr>"
+    )
