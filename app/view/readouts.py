@@ -127,9 +127,16 @@ def legend() -> str:
         for look in palette.LOOKS.values()
     ]
     signs += [
+        (palette.BLOCKING, "<b>ring and arrow</b>: the plane that holds the tool back most"),
         (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
         (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
         (palette.FORCE, "<b>force</b> on the hand, simulated"),
+        (palette.PROBE, "<b>probe</b> of the inspector"),
+    ]
+    signs += [
+        (look.color, f"<b>inspector, {html.escape(look.name)}</b>: {html.escape(look.meaning)}")
+        for state, look in palette.STATES.items()
+        if state in (palette.State.CERTIFIED, palette.State.INACTIVE)
     ]
     rows = "".join(
         "<div style='display:flex;gap:7px;margin-bottom:2px'><span style='flex:none;width:11px;"
@@ -140,8 +147,8 @@ def legend() -> str:
     return (
         f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
         "<div style='color:#666;margin-top:4px'>Filled triangles gave the discs of the same "
-        "colour; a stronger disc is one the tool leans on. A mere ring is a plane farther off, "
-        "when there are many.</div></div>"
+        "colour; the fuller a disc’s colour, the more the tool leans on it. A mere ring is a plane "
+        "farther off, when there are many.</div></div>"
     )
 
 
