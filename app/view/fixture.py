@@ -53,16 +53,18 @@ class FixtureDrawing:
         self._rims = _batch(api, f"{root}/rims", rim)
         self._normals = _batch(api, f"{root}/normals", _arrow())
         # Of the plane that pushes most: a thick ring, a large arrow, a word.
-        self._blocking = api.add_frame(f"{root}/blocking", show_axes=False, visible=False)
-        for name, shape in (("ring", _rim(inner=0.93)), ("arrow", _arrow(0.75, thickness=2.2))):
+        self._blocking = [
             api.add_mesh_simple(
-                f"{root}/blocking/{name}",
+                f"{root}/blocking_{name}",
                 *shape,
                 color=palette.BLOCKING,
                 side="double",
                 cast_shadow=False,
                 receive_shadow=False,
+                visible=False,
             )
+            for name, shape in (("ring", _rim(inner=0.93)), ("arrow", _arrow(0.75, thickness=2.2)))
+        ]
         self._blocks = api.add_label(
             f"{root}/blocks", "blocks", anchor="center-left", font_screen_scale=0.8, visible=False
         )
@@ -113,7 +115,7 @@ class FixtureDrawing:
     def hide(self) -> None:
         """Take everything away until the next `draw`."""
         nodes = (self._sphere, self._calm, self._leaning, self._rims, self._normals)
-        for node in (*nodes, self._blocking, self._blocks, *self._triangles.values()):
+        for node in (*nodes, *self._blocking, self._blocks, *self._triangles.values()):
             node.visible = False
 
     def _draw_planes(
@@ -130,8 +132,8 @@ class FixtureDrawing:
         self._normals.visible = self.show_normals and any_plane
         strongest = float(multipliers[chosen].max(initial=0.0))
         blocks = self.show_planes and any_plane and strongest > LEANING
-        if not blocks:
-            self._blocking.visible = self._blocks.visible = False
+        for node in (*self._blocking, self._blocks):
+            node.visible = blocks
         if not any_plane:
             return
         for batch, opacities in ((self._calm, CALM), (self._leaning, STRONG)):
@@ -166,14 +168,14 @@ class FixtureDrawing:
             batch.batched_colors = colors
         if blocks:
             most = int(pushes.argmax())
-            self._blocking.wxyz = wxyzs[most]
-            # A hair above the plane's own rim.
-            self._blocking.position = to_view(centres[most] + 0.015 * radius * normals[most])
-            self._blocking.scale = float(scales[most])
+            for node in self._blocking:
+                node.wxyz = wxyzs[most]
+                # A hair above the plane's own rim.
+                node.position = to_view(centres[most] + 0.015 * radius * normals[most])
+                node.scale = float(scales[most])
             head = centres[most] + 0.75 * radii[most] * normals[most]
             self._blocks.position = to_view(head)
             self._blocks.text = f"blocks: pushes back {1e3 * strongest:.2g} mm"
-            self._blocking.visible = self._blocks.visible = True
 
     def _draw_triangles(
         self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]

@@ -58,6 +58,8 @@ class Proxy:
         )
         self._show_tether = True
         self._show_labels = True
+        self.withdrawn = False
+        """Somebody else is on the stage: draw nothing."""
 
     def show_tether(self, visible: bool) -> None:
         """Layer switch of the tether."""
@@ -92,15 +94,16 @@ class Proxy:
         )
         self._name.position = to_view(handle.translation)
         self._name.text = ("handle" if apart else "proxy") + (f" · {holder}" if holder else "")
-        self._name.visible = self._show_labels
+        self.gizmo.visible = not self.withdrawn
+        self._name.visible = self._show_labels and not self.withdrawn
         goal = handle if target is None else target
-        self._ball.visible = apart
-        self._ball_name.visible = apart and self._show_labels
+        self._ball.visible = apart and not self.withdrawn
+        self._ball_name.visible = self._ball.visible and self._show_labels
         if apart:
             self._ball.position = to_view(goal.translation)
             self._ball_name.position = to_view(goal.translation)
         pulled = goal.translation - p_tip
-        taut = self._show_tether and bool(np.linalg.norm(pulled) > TAUT)
+        taut = self._show_tether and not self.withdrawn and bool(np.linalg.norm(pulled) > TAUT)
         if taut:
             self._tether.position = to_view(p_tip)
             self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], pulled]]))

@@ -43,8 +43,8 @@ def scene() -> scenes.Scene:
 @pytest.fixture(scope="module")
 def pressed(scene: scenes.Scene) -> Subject:
     """The tool pressed against the skull, as the page shows it."""
-    arm, settings = scene.arm.copy(), vf.Settings()
-    controller = vf.Controller(arm, [vf.MeshFixture(scene.surface, "certified", RADIUS)], settings)
+    options = Options(mesh="skull-coarse", robot="point")
+    controller = scenes.plant(scene, options).controller
     target = scene.T_base_start.copy()
     target.translation = target.translation + np.array([0.002, 0.001, -0.03])
     q = scene.start
@@ -54,7 +54,7 @@ def pressed(scene: scenes.Scene) -> Subject:
     assert step.multipliers.max() > 1e-6
     x = np.array(step.tip.translation)
     return Subject(
-        scene.surface, x, RADIUS, settings, "certified", scene, step, Pose(q, target)
+        scene.surface, x, RADIUS, options, "certified", scene, step, Pose(q, target)
     )  # fmt: skip
 
 
@@ -232,6 +232,6 @@ def test_a_failing_answer_leaves_the_last_one_standing(wait_until):
 def test_comparison_leaves_the_scenes_arm_alone(scene, pressed):
     before = scene.arm.tip(scene.start).translation.copy()
     comparison = Comparison(scene)
-    comparison.trials(scene.surface, pressed.x, RADIUS, pressed.settings, pressed.pose)
+    comparison.trials(scene.surface, pressed.x, RADIUS, pressed.options, pressed.pose)
     assert comparison._arm is not scene.arm
     assert (scene.arm.tip(scene.start).translation == before).all()

@@ -6,14 +6,16 @@ with no code of the rules: only the list of triangles in the ball is `Surface.wi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
+from app import scene as scenes
 from app.scene import Scene
+from app.settings import Options
 from app.view.inspector.picking import distances
 
 FloatArray = NDArray[np.float64]
@@ -64,76 +66,68 @@ class Comparison:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._arm = scene.arm.copy()
-        self._made: tuple[object, dict[str, vf.Controller]] = (None, {})
+        self._options: Options | None = None
+        self._controllers: dict[str, vf.Controller] = {}
 
     def trials(
         self,
         surface: vf.Surface,
         x: FloatArray,
         radius: float,
-        settings: vf.Settings,
+        options: Options,
         pose: Pose | None,
     ) -> tuple[Trial, ...]:
         """Every rule at x (3,); without a `pose` no step is made."""
         rng = np.random.default_rng(0)  # the same points each time: the numbers do not flicker
-        reach = radius + settings.tip_radius
+        reach = radius + options.tip_radius
         contacts = surface.within(x, reach)
         order = np.argsort(contacts.distances)
         corners = surface.vertices[surface.faces[contacts.triangles[order]]] - x
         on_surface = sample(corners, reach, SAMPLES, rng)
         free = reachable(corners[:NEAREST], radius, PATHS, rng)
         inside = surface.inside(x)
-        return tuple(
-            self._trial(rule, surface, x, radius, settings, pose, inside, on_surface, free)
-            for rule in vf.RULES
-        )
+        found = []
+        for rule in vf.RULES:
+            planes = vf.MeshFixture(surface, rule, radius).planes(
+                x, radius, options.standoff, options.tip_radius, inside
+            )
+            leaking = _share(planes, x, on_surface, options.tip_radius)
+            blocked = 1.0 - _share(planes, x, free, 0.0)
+            step, p_tip, gap, crosses = np.nan, x, np.nan, False
+            if pose is not None:
+                step, p_tip, gap, crosses = self._step(rule, surface, options, pose)
+            found.append(Trial(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses))
+        return tuple(found)
 
-    def _trial(
-        self,
-        rule: str,
-        surface: vf.Surface,
-        x: FloatArray,
-        radius: float,
-        settings: vf.Settings,
-        pose: Pose | None,
-        inside: bool,
-        on_surface: FloatArray,
-        free: FloatArray,
-    ) -> Trial:
-        fixture = vf.MeshFixture(surface, rule, radius)
-        planes = fixture.planes(x, radius, settings.standoff, settings.tip_radius, inside)
-        rho = settings.tip_radius
-        leaking = blocked = np.nan
-        if len(on_surface):
-            within = np.linalg.norm(on_surface, axis=1) <= planes.radius + rho
-            leaking = float((within & allowed(planes, x, on_surface, rho)).mean())
-        if len(free):
-            within = np.linalg.norm(free, axis=1) <= planes.radius
-            blocked = 1.0 - float((within & allowed(planes, x, free, 0.0)).mean())
-        p_tip, step, gap, crosses = x, np.nan, np.nan, False
-        if pose is not None:
-            made = self._controller(rule, surface, radius, settings).step(pose.q, pose.target)
-            start = self._arm.tip(pose.q).translation
-            p_tip = np.array(made.tip.translation)
-            move = p_tip - start
-            step = float(np.linalg.norm(move))
-            gap = surface.nearest(p_tip)[0]
-            near = surface.within(0.5 * (start + p_tip), 0.5 * step + 1e-9).triangles
-            met = distances(surface.vertices[surface.faces[near]], np.array(start), move)
-            crosses = bool(step > 0.0 and (met <= 1.0).any())
-        return Trial(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses)
+    def _step(
+        self, rule: str, surface: vf.Surface, options: Options, pose: Pose
+    ) -> tuple[float, FloatArray, float, bool]:
+        """What the next tick would do: see `Trial`."""
+        made = self._controller(rule, options).step(pose.q, pose.target)
+        start = np.array(self._arm.tip(pose.q).translation)
+        p_tip = np.array(made.tip.translation)
+        move = p_tip - start
+        step = float(np.linalg.norm(move))
+        near = surface.within(0.5 * (start + p_tip), 0.5 * step + 1e-9).triangles
+        met = distances(surface.vertices[surface.faces[near]], start, move)
+        return step, p_tip, surface.nearest(p_tip)[0], bool(step > 0.0 and (met <= 1.0).any())
 
-    def _controller(
-        self, rule: str, surface: vf.Surface, radius: float, settings: vf.Settings
-    ) -> vf.Controller:
-        key = (id(surface), radius, settings)
-        if self._made[0] != key:
-            self._made = (key, {})
-        controllers = self._made[1]
-        if rule not in controllers:
-            fixture = vf.MeshFixture(surface, rule, radius)
-            controllers[rule] = vf.Controller(self._arm, [fixture], settings)
-        return controllers[rule]
+    def _controller(self, rule: str, options: Options) -> vf.Controller:
+        """As the session would make it, a corridor and all."""
+        if self._options != options:
+            self._options, self._controllers = options, {}
+        if rule not in self._controllers:
+            plant = scenes.plant(self._scene, replace(options, rule=rule))
+            self._controllers[rule] = plant.controller
+        return self._controllers[rule]
+
+
+def _share(planes: vf.Planes, x: FloatArray, points: FloatArray, tip_radius: float) -> float:
+    """Share of points (k, 3), relative to x, that are allowed; nan of none."""
+    if len(points) == 0:
+        return float("nan")
+    within = np.linalg.norm(points, axis=1) <= planes.radius + tip_radius
+    return float((within & allowed(planes, x, points, tip_radius)).mean())
 
 
 def allowed(

@@ -31,6 +31,7 @@ class NearDrawing:
         self._outline = _lines(api, "/inspector/chosen/outline", palette.BLACK, 5.0)
         self._neighbours = _lines(api, "/inspector/chosen/neighbours", palette.BLACK, 2.0)
         self._foot = _lines(api, "/inspector/chosen/foot", palette.BLACK, 2.5)
+        self._feet = _lines(api, "/inspector/chosen/feet", (90, 90, 90), 1.5)
         self._dot = api.add_icosphere(
             "/inspector/chosen/point",
             radius=1.0,
@@ -51,7 +52,9 @@ class NearDrawing:
 
     def hide(self) -> None:
         """Take everything away until the next `draw`."""
-        chosen = (self._outline, self._neighbours, self._foot, self._dot, self._name)
+        chosen = (
+            self._outline, self._neighbours, self._foot, self._feet, self._dot, self._name
+        )  # fmt: skip
         for node in (*self._meshes.values(), self._grid, *chosen, self._region):
             node.visible = False
         self._shown, self._grid_shown, self._solid = {}, b"", None
@@ -95,6 +98,7 @@ class NearDrawing:
         if chosen < 0:
             for node in (self._outline, self._neighbours, self._foot, self._dot, self._name):
                 node.visible = False
+            self._feet.visible = False
             return
         report = explanation.of(chosen)
         self._outline.points = to_buffer(
@@ -111,6 +115,11 @@ class NearDrawing:
         self._name.text = subject.name(chosen)
         for node in (self._outline, self._foot, self._dot, self._name):
             node.visible = True
+        # In a case, everybody's closest point tells the story.
+        self._feet.visible = bool(subject.names)
+        if subject.names:
+            x = np.broadcast_to(subject.x, explanation.points.shape)
+            self._feet.points = to_buffer(np.stack([x, explanation.points], axis=1))
 
 
 def _lifted(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.scene import Scene
+from app.settings import Options
 from app.view.inspector.compare import Comparison, Pose, Trial
 from app.view.inspector.region import Region, allowed_region
 
@@ -27,7 +28,7 @@ class Subject:
         surface: the anatomy, or one of the paper's cases.
         x: (3,) [m].
         radius: of the motion sphere [m].
-        settings: standoff, tip radius and the like.
+        options: the session's: standoff, tip radius and the like.
         rule: whose planes are in force there, or shown at the probe.
         scene: whose arm makes the trial steps.
         step: the tick that is shown; None for a probe.
@@ -38,7 +39,7 @@ class Subject:
     surface: vf.Surface
     x: FloatArray
     radius: float
-    settings: vf.Settings
+    options: Options
     rule: str
     scene: Scene
     step: vf.Step | None = None
@@ -54,7 +55,7 @@ class Subject:
         return other is not None and (
             self.surface is other.surface
             and self.radius == other.radius
-            and self.settings == other.settings
+            and self.options == other.options
             and self.rule == other.rule
             and bool((self.x == other.x).all())
         )
@@ -97,8 +98,9 @@ class Inspection:
 
     def foremost(self) -> int:
         """The triangle whose plane pushes most; the nearest one if none does; −1 without any."""
-        if len(self.multipliers) and self.multipliers.max() > 0.0:
-            return int(self.planes.triangles[self.multipliers.argmax()])
+        pushes = np.where(self.planes.triangles >= 0, self.multipliers, 0.0)
+        if pushes.max(initial=0.0) > 0.0:
+            return int(self.planes.triangles[pushes.argmax()])
         return int(self.explanation.triangles[0]) if len(self.explanation) else -1
 
 
@@ -113,13 +115,18 @@ class Inspector:
     def answer(self, question: Question) -> Inspection:
         """Examine the subject."""
         subject, last = question.subject, self._last
-        s = subject.settings
+        options = subject.options
         same = last is not None and subject.same_place(last.subject)
         if last is not None and same:
             explanation = last.explanation
         else:
             explanation = vf.explain(
-                subject.surface, subject.x, subject.radius, s.standoff, s.tip_radius, MOST
+                subject.surface,
+                subject.x,
+                subject.radius,
+                options.standoff,
+                options.tip_radius,
+                MOST,
             )
         if subject.step is not None:
             planes, multipliers = subject.step.planes, subject.step.multipliers
@@ -142,7 +149,7 @@ class Inspector:
         if self._comparison is None or self._comparison[0] is not subject.scene:
             self._comparison = subject.scene, Comparison(subject.scene)
         return self._comparison[1].trials(
-            subject.surface, subject.x, subject.radius, subject.settings, subject.pose
+            subject.surface, subject.x, subject.radius, subject.options, subject.pose
         )
 
 
@@ -160,6 +167,8 @@ def _planes(subject: Subject, explanation: vf.Explanation) -> vf.Planes:
         return explanation.paper
     if subject.rule == "certified":
         return explanation.certified
-    s = subject.settings
+    options = subject.options
     fixture = vf.MeshFixture(subject.surface, subject.rule, subject.radius)
-    return fixture.planes(subject.x, subject.radius, s.standoff, s.tip_radius, explanation.inside)
+    return fixture.planes(
+        subject.x, subject.radius, options.standoff, options.tip_radius, explanation.inside
+    )

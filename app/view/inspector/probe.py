@@ -49,6 +49,7 @@ class Probe:
         )
         self._fixture = FixtureDrawing(api, "/probe/fixture")
         self._fixture.show_triangles = False  # the inspector draws them
+        self._fixture.inspected = True
         self._fixture.hide()
         self._case = api.add_mesh_simple(
             "/probe/case",

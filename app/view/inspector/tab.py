@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 import vf
 from app.messages import Telemetry
 from app.scene import Scene
-from app.settings import Options
 from app.view import camera
 from app.view.feature import Stage
 from app.view.inspector import figures, words
@@ -84,7 +83,7 @@ class InspectorTab:
         fixture = self._stage.fixture
         fixture.inspected = self._on
         fixture.withdrawn = self._on and self._exploring
-        self._stage.proxy.gizmo.visible = not fixture.withdrawn
+        self._stage.proxy.withdrawn = fixture.withdrawn
         if not self._on:
             if self._drawn is not None:
                 self._drawn = None
@@ -145,17 +144,16 @@ class InspectorTab:
         options, scene, step = self._stage.session.options, self._scene, telemetry.step
         if step is None or telemetry.scene != scene.version:
             return None
-        settings = _settings(options)
         if not self._exploring:
             target = telemetry.target
             return Subject(
-                scene.surface, np.array(step.tip.translation), step.radius, settings,
+                scene.surface, np.array(step.tip.translation), step.radius, options,
                 options.rule, scene, step, None if target is None else Pose(telemetry.q, target),
             )  # fmt: skip
         if self._case is None:
-            return Subject(self._surface, self._probe_at, step.radius, settings, self._rule, scene)
+            return Subject(self._surface, self._probe_at, step.radius, options, self._rule, scene)
         return Subject(
-            self._surface, self._probe_at, figures.RADIUS, settings, self._rule, scene,
+            self._surface, self._probe_at, figures.RADIUS, options, self._rule, scene,
             names=tuple(figures.NAMES.values()),
         )  # fmt: skip
 
@@ -327,7 +325,7 @@ class InspectorTab:
         )
         x = beside_tool(scene.surface, np.array(tip.translation), radius)
         self._put(x)
-        away = camera.DIRECTION * 3.4 * radius / np.sin(camera.FIELD_OF_VIEW / 2.0)
+        away = camera.DIRECTION * 2.2 * radius / np.sin(camera.FIELD_OF_VIEW / 2.0)
         camera.move(client, camera.View(x + away, x))
 
     def _stop_exploring(self) -> None:
@@ -360,12 +358,3 @@ def beside_tool(surface: vf.Surface, p_tip: FloatArray, radius: float) -> FloatA
     if surface.inside(spot):
         out = -out
     return np.asarray(point + radius / 3.0 * out)
-
-
-def _settings(options: Options) -> vf.Settings:
-    return vf.Settings(
-        dt=options.dt,
-        standoff=options.standoff,
-        tip_radius=options.tip_radius,
-        force_gain=options.force_gain,
-    )

@@ -76,7 +76,7 @@ def reason(report: TriangleReport, subject: Subject) -> str:
             )
         case Verdict.NO_AREA:
             return "Passed over: the triangle has no area, so it has no normal."
-    beyond = report.distance - subject.radius - subject.settings.tip_radius
+    beyond = report.distance - subject.radius - subject.options.tip_radius
     if beyond > 0.0:
         return f"Not asked: {beyond * 1e3:.2f} mm beyond the motion sphere."
     return "Not examined: more triangles than the inspector looks at are nearer."
@@ -163,6 +163,9 @@ def nearest(inspection: Inspection, chosen: int) -> str:
             f"<div style='{_SMALL}'>Only the nearest {len(explanation):,} of "
             f"{explanation.total:,} triangles are examined and drawn.</div>"
         )
+    wall = float(inspection.multipliers[inspection.planes.rules == Rule.CORRIDOR].sum())
+    if wall > LEANING:
+        note += f"<div>The corridor’s wall pushes the tool back by {wall * 1e3:.3f} mm.</div>"
     table = "<table style='width:100%;border-collapse:collapse;font-size:11.5px'>"
     return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
 
