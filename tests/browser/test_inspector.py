@@ -27,9 +27,9 @@ def tab(visit: Callable[[], Visitor], session: Session, page: Page) -> Iterator[
     session.set_rule("certified")
     session.set_radius(5e-3)
     session.reset()
+    visitor = visit()
     start = session.scene.T_base_start
     session.drive(pin.SE3(start.rotation, start.translation + PUSH))
-    visitor = visit()
     visitor.tab.locator(".mantine-Notification-closeButton").first.click(timeout=60_000)
     wait_until(lambda: session.latest().step.multipliers.max(initial=0.0) > 1e-6, "contact")
     visitor.tab.get_by_text("Inspector", exact=True).click()
@@ -147,7 +147,10 @@ def test_freezes_and_moves_the_probe(tab: Visitor, session: Session, page: Page)
     before, tick = tip(session), session.latest().tick
     probe = node(page, "/probe/gizmo")
     origin = np.array(probe.position)
-    wait_until(lambda: np.linalg.norm(tab.to_screen(origin) - [598, 360]) < 250, "the camera")
+    box = tab.canvas_box()
+    middle = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+    wait_until(lambda: np.linalg.norm(tab.to_screen(origin) - middle) < 5, "the camera")
+    tab.tab.wait_for_timeout(1000)
     # Its arrow upwards: length fixed in pixels, the head at the end.
     up = np.array([0.0, 0.0, 1.0])
     head = origin + 0.88 * 60.0 * tab.pixel(origin) * up

@@ -84,7 +84,7 @@ class NearDrawing:
                 if self._shown.get(state) != key:
                     self._shown[state] = key
                     node.vertices = to_buffer(corners.reshape(-1, 3))
-                    node.faces = np.arange(3 * len(mine), dtype=np.uint32).reshape(-1, 3)
+                    node.faces = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
             node.visible = len(mine) > 0
         every = np.sort(explanation.triangles)
         if len(every):
@@ -125,13 +125,17 @@ class NearDrawing:
 def _lifted(
     explanation: vf.Explanation, triangles: NDArray[np.int64], share: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Corners (k, 3, 3) of triangles, moved to the side of theirs that x is on, and that side."""
+    """Corners (k, 3, 3) of triangles moved outwards, and inwards as well where x is behind.
+
+    Also returns where it is. An outer face that x is behind is looked at from outside, an open
+    sheet from behind.
+    """
     surface = explanation.surface
     corners = surface.vertices[surface.faces[triangles]]
     normals = surface.normals[triangles]
-    above = np.einsum("ij,ij->i", normals, explanation.x - corners[:, 0]) >= 0.0
-    lift = share * explanation.radius * np.where(above, 1.0, -1.0)[:, None] * normals
-    return np.asarray(corners + lift[:, None, :]), above
+    behind = np.einsum("ij,ij->i", normals, explanation.x - corners[:, 0]) < 0.0
+    lift = (share * explanation.radius * normals)[:, None, :]
+    return np.concatenate([corners + lift, (corners - lift)[behind]]), behind
 
 
 def _edges(corners: FloatArray) -> FloatArray:
