@@ -14,6 +14,8 @@ from app.session import Session
 from app.view import Page, camera
 from app.view.units import VIEW_SCALE
 
+pytestmark = pytest.mark.slow
+
 MESH = "skull-coarse"
 PUSH = np.array([0.012, 0.022, -0.0265])  # from the start into the bone [m]
 
