@@ -142,6 +142,10 @@ class Page:
         """Whether some client has the gizmo in its hand."""
         return self._hand.dragging
 
+    def told(self, client_id: int) -> str:
+        """What that client is told about who has the proxy, as HTML; empty: nothing."""
+        return self._who.told(client_id)
+
     def close(self) -> None:
         """Stop the view thread and the server. Safe to call twice."""
         if self._stop.is_set():

@@ -57,6 +57,11 @@ class Who:
         self._order = order
         self._lines: dict[int, viser.GuiHtmlHandle] = {}
 
+    def told(self, client_id: int) -> str:
+        """What that client's line says."""
+        shown = self._lines.get(client_id)
+        return "" if shown is None else str(shown.content)
+
     def update(self, owner: int | None) -> None:
         """Bring every client's line up to date; writes only what changed."""
         clients = self._server.get_clients()

@@ -16,7 +16,7 @@ from websockets.typing import Subprotocol
 
 from app.session import Session
 from app.settings import Options
-from app.view import Page
+from app.view import Page, who
 from app.view.units import VIEW_SCALE
 
 
@@ -40,22 +40,27 @@ def attacker(page: Page) -> Iterator[ClientConnection]:
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
     ) as socket:
-        send(
-            socket,
-            "ViewerCameraMessage",
-            wxyz=(1, 0, 0, 0),
-            position=(1, 1, 1),
-            fov=1.0,
-            near=0.1,
-            far=10.0,
-            look_at=(0, 0, 0),
-            up_direction=(0, 0, 1),
-            image_height=100,
-            image_width=100,
-        )
+        introduce(socket)
         wait_until(lambda: len(page.server.get_clients()) == 1, "the attacker to be known")
         yield socket
     wait_until(lambda: not page.server.get_clients(), "the attacker to be gone")
+
+
+def introduce(socket: ClientConnection) -> None:
+    """Say where the camera is, which makes the server count a client."""
+    send(
+        socket,
+        "ViewerCameraMessage",
+        wxyz=(1, 0, 0, 0),
+        position=(1, 1, 1),
+        fov=1.0,
+        near=0.1,
+        far=10.0,
+        look_at=(0, 0, 0),
+        up_direction=(0, 0, 1),
+        image_height=100,
+        image_width=100,
+    )
 
 
 def send(socket: ClientConnection, kind: str, **fields: object) -> None:
@@ -156,3 +161,43 @@ def test_panel_values_are_checked_by_the_server(
     assert options.standoff == 20e-6
     assert options.tip_radius == 0.0
     assert options.scale <= 2.0
+
+
+def test_one_client_has_the_proxy_and_the_others_are_told_who(
+    session: Session, page: Page, attacker: ClientConnection
+) -> None:
+    session.reset()
+    wxyz, position = page.gizmo_pose
+    first = next(iter(page.server.get_clients()))
+    with connect(
+        page.url.replace("http", "ws"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+    ) as other:
+        introduce(other)
+        wait_until(lambda: len(page.server.get_clients()) == 2, "the other")
+        second = max(page.server.get_clients())
+        gizmo(attacker, "Start")
+        mine = position + np.array([0.2, 0.0, 0.0])
+        gizmo(attacker, "Update", wxyz.tolist(), mine.tolist())
+        wait_until(lambda: np.allclose(VIEW_SCALE * session.handle.translation, mine), "the drag")
+        told = page.told
+        wait_until(lambda: who.name(first) in told(second), "the other to be told")
+        assert "Another client is dragging" in told(second)
+        assert "You" in told(first)
+        gizmo(other, "Start")
+        gizmo(other, "Update", wxyz.tolist(), (position - np.array([0.2, 0.0, 0.0])).tolist())
+        gizmo(other, "End")
+        time.sleep(0.3)
+        assert np.allclose(VIEW_SCALE * session.handle.translation, mine), "the first one's"
+        gizmo(attacker, "End")
+        wait_until(lambda: not page.dragging, "the end of the drag")
+        gizmo(other, "Start")
+        gizmo(other, "Update", wxyz.tolist(), position.tolist())
+        wait_until(
+            lambda: np.allclose(VIEW_SCALE * session.handle.translation, position), "the next hand"
+        )
+        wait_until(lambda: "You" in told(second), "who has it now")
+        gizmo(other, "End")
+    wait_until(lambda: len(page.server.get_clients()) == 1, "the other to leave")
+    wait_until(lambda: told(first) == "", "nobody else to tell of")
