@@ -44,7 +44,7 @@ READOUT = 0.25  # between two updates of the read-outs [s]
 PROMPT = 0.004
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (InspectorTab, Signals, CorridorControl)
+FEATURES: tuple[Maker, ...] = (Signals, InspectorTab, CorridorControl)
 
 
 class Page:
@@ -90,7 +90,7 @@ class Page:
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(345)
         self._readouts.panel.dock_left()
-        self._readouts.panel.set_width(270)
+        self._readouts.panel.set_width(290)
         stage = Stage(
             server,
             session,

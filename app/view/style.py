@@ -16,6 +16,11 @@ _PHONE = """
 }
 """
 
+# Six tabs are to fit beside each other.
+_TABS = """
+[data-dock-tab] { padding: 0 .38em !important; font-size: 11px; letter-spacing: -.3px; }
+"""
+
 # Five plots are to fit under each other.
 _PLOTS = """
 .uplot-container .u-title { font-size: 11px; line-height: 15px; font-weight: 600; }
@@ -32,4 +37,4 @@ _HELP = """
 
 def sheet() -> str:
     """The style sheet as an HTML element."""
-    return f"<style>{_PHONE}{_PLOTS}{_HELP}</style>"
+    return f"<style>{_PHONE}{_TABS}{_PLOTS}{_HELP}</style>"
