@@ -217,11 +217,20 @@ class Signals:
                 },
             },
             axes=(
-                {"show": last, "size": 26, "font": small, "gap": 2},
-                {"size": 38, "font": small, "gap": 2},
+                {
+                    "show": last,
+                    "size": 22,
+                    "font": small,
+                    "gap": 2,
+                    "label": "before now [s]",
+                    "labelSize": 14,
+                    "labelFont": small,
+                    "labelGap": 0,
+                },
+                {"size": 42, "font": small, "gap": 2},
             ),
             legend={"show": False},
             cursor={"show": False},
-            height=88 if last else 68,
+            height=100 if last else 66,
             padding=(4, 8, 4, 0),
         )

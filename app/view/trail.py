@@ -40,6 +40,8 @@ def legend() -> str:
         "<span style='margin-left:8px'>0</span>"
         f"<span style='flex:1;height:9px;background:linear-gradient(90deg,{stops})'></span>"
         f"{DEEP * 1e3:g} mm deep</div>"
+        "<div style='margin:0 .75em .4em;font-size:11px;line-height:1.3;color:#666'>The bone hides "
+        "what is inside it: View › Layers › See-through.</div>"
     )
 
 
