@@ -44,9 +44,8 @@ class Operator:
         "standard deviation of a submovement's end, in every direction",
     )  # fmt: skip
     tremor: float = _parameter(
-        70e-6, "m", CALIBRATED,
-        "tremor of 8–12 Hz at the hand, root mean square in every direction; 50–200 µm is usual: "
-        "Riviere, Rader, Khosla 1997; it is scaled like the movement",
+        50e-6, "m", "around 50 µm in microsurgery: Riviere, Rader, Khosla, IEEE EMBS 1997",
+        "tremor of 8–12 Hz at the hand, root mean square in every direction; scaled like movement",
     )  # fmt: skip
     scale: float = _parameter(
         0.2, "1", "default of the dVRK (facts of the setting)", "movement of tool per hand"
@@ -79,8 +78,7 @@ class Operator:
         0.12e-3, "m", CALIBRATED, "how far a submovement goes on along a cut in bone"
     )
     tracing_stroke: float = _parameter(
-        0.5e-3, "m", "assumed: 30 mm in about a minute where there is no bone to cut",
-        "how far a submovement goes on along an open slot",
+        0.4e-3, "m", CALIBRATED, "how far a submovement goes on along an open slot"
     )  # fmt: skip
     press: float = _parameter(
         0.15, "N", "assumed: light contact",

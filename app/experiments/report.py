@@ -127,7 +127,7 @@ def _verdicts(outcomes: Sequence[Outcome]) -> list[str]:
         f"{steps:,} assisted ticks, judged apart from the fixtures.",
         f"Registration: FRE {1e3 * np.mean([o.fre for o in outcomes]):.2f} mm, "
         f"TRE along the cut {1e3 * np.mean([o.tre for o in outcomes]):.2f} mm on average. "
-        f"Slowest trial: {slowest:.1f} times real time.",
+        f"Slowest trial: {slowest:.1f} times real time, by processor time on one core.",
     ]
     unfinished = [o.trial.key for o in outcomes if not o.finished]
     if unfinished:

@@ -1,0 +1,17 @@
+"""What the experiments' tests share."""
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def no_thread_left_behind() -> Iterator[None]:
+    """As everywhere, but Dask keeps one event loop for the process, once it was used."""
+    before = set(threading.enumerate())
+    yield
+    left = [t for t in threading.enumerate() if t not in before and t.name != "IO loop"]
+    for thread in left:
+        thread.join(2.0)
+    assert [t.name for t in left if t.is_alive()] == []
