@@ -68,8 +68,8 @@ class Power:
 
     seeds: int = 100
     """How many experiments, seeds 0 and up."""
-    rate: float = 100.0
-    """Ticks per second of simulated control; 1000 takes ten times as long, with like results."""
+    rate: float = 50.0
+    """Ticks per second of simulated control; 1000 takes twenty times as long, with like results."""
     workers: int = 0
     """Processes, on Dask; 0 computes in this one."""
     out: Path = Path("power")
@@ -84,7 +84,7 @@ class Power:
 class Calibrate:
     """Fit the operator to the paper's plain teleoperation, and print its values."""
 
-    trials: int = 16
+    trials: int = 12
     """Simulated trials behind every figure."""
     seed: int = 0
     """Of everything random."""

@@ -51,17 +51,17 @@ class Operator:
         0.2, "1", "default of the dVRK (facts of the setting)", "movement of tool per hand"
     )
     view_angle: float = _parameter(
-        0.65, "rad", CALIBRATED, "between the line of sight and the plane of the cut"
+        0.768, "rad", CALIBRATED, "between the line of sight and the plane of the cut"
     )
     depth_bias: float = _parameter(
-        0.8e-3, "m", CALIBRATED,
+        0.809e-3, "m", CALIBRATED,
         "constant error along the line of sight, the tool believed nearer than it is",
     )  # fmt: skip
     depth_error: float = _parameter(
-        0.5e-3, "m", CALIBRATED, "slow error along the line of sight, standard deviation"
+        0.648e-3, "m", CALIBRATED, "slow error along the line of sight, standard deviation"
     )
     image_error: float = _parameter(
-        0.25e-3, "m", CALIBRATED, "slow error aside in the picture, standard deviation"
+        0.191e-3, "m", CALIBRATED, "slow error aside in the picture, standard deviation"
     )
     slow: float = _parameter(
         5.0, "s", "assumed: some submovements, well below a trial",
@@ -75,10 +75,10 @@ class Operator:
         "a deviation seen to be larger is corrected before the tool goes on",
     )  # fmt: skip
     stroke: float = _parameter(
-        0.12e-3, "m", CALIBRATED, "how far a submovement goes on along a cut in bone"
+        0.147e-3, "m", CALIBRATED, "how far a submovement goes on along a cut in bone"
     )
     tracing_stroke: float = _parameter(
-        0.4e-3, "m", CALIBRATED, "how far a submovement goes on along an open slot"
+        0.272e-3, "m", CALIBRATED, "how far a submovement goes on along an open slot"
     )  # fmt: skip
     press: float = _parameter(
         0.15, "N", "assumed: light contact",
