@@ -7,6 +7,7 @@ test and a replay see the same proxy to the bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +23,14 @@ DEPTH = 0.003  # how far below the surface the proxy pokes and slides [m]
 DWELL = 0.4  # rest at the bottom of a poke [s]
 SPOTS = 4
 _PEAK = 1.875  # peak over mean speed of a minimum-jerk motion
+
+
+class Script(Protocol):
+    """A proxy that moves by itself: a function of time alone."""
+
+    def pose(self, time: float) -> pin.SE3:
+        """The proxy a time ≥ 0 [s] after the start, arm base frame."""
+        ...
 
 
 @dataclass(frozen=True)

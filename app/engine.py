@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
-from app.autopilot import Autopilot
+from app.autopilot import Script
 from app.messages import Command, LoopStats, Telemetry
 from robots import Arm
 
@@ -41,7 +41,7 @@ class Plant:
     scene: int
     dt: float
     stale_after: float
-    autopilot: Autopilot
+    autopilot: Script
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
-from app.autopilot import Autopilot, plan
+from app.autopilot import Script, plan
 from app.engine import Plant, is_free
 from app.settings import Options
 from meshes.damage import damage
@@ -62,7 +62,7 @@ class Scene:
     notes: tuple[str, ...]
     start: FloatArray
     T_base_start: pin.SE3
-    autopilot: Autopilot
+    autopilot: Script
 
 
 def build(

@@ -47,11 +47,14 @@ class Session:
         handle: the handle's present pose: where the gizmo belongs when nobody drags it.
     """
 
-    def __init__(self, options: Options, progress: Progress | None = None) -> None:
+    def __init__(
+        self, options: Options, progress: Progress | None = None, scene: Scene | None = None
+    ) -> None:
         """Build the scene and the controller, without starting the thread.
 
         Args:
             progress: called with a few words before each step.
+            scene: one that was built otherwise than these options say.
 
         Raises:
             ValueError: unknown names or an unusable mesh, with the reason.
@@ -59,7 +62,7 @@ class Session:
         say = progress or (lambda _text: None)
         check_names(options)
         self.options = options
-        self.scene: Scene = scenes.build(options, 1, say)
+        self.scene: Scene = scenes.build(options, 1, say) if scene is None else scene
         say("preparing the controller")
         plant = scenes.plant(self.scene, options)
         self._lock = threading.RLock()  # writers only; the loop and `latest` never take it

@@ -1,9 +1,11 @@
-"""The paper's experiments with a simulated operator: tracing, cutting, their power, calibration."""
+"""The paper's experiments with a simulated operator: tracing, cutting, power, replay."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,16 +96,41 @@ class Calibrate:
             raise OptionError("trials must be two or more, seed zero or more")
 
 
+@dataclass(frozen=True)
+class Replay:
+    """Do one trial again and open it in the page, where it is played in real time."""
+
+    experiment: str = "cutting"
+    """tracing or cutting."""
+    rule: str = "certified"
+    """off, certified or paper."""
+    number: int = 0
+    """Which trial of the experiment, from 0."""
+    seed: int = 0
+    """Of the experiment."""
+    rate: float = 1000.0
+    """Ticks per second, as in the experiment."""
+    length: Length = 30e-3
+    """How much of the planned cut, as in the experiment."""
+    trial: Path | None = None
+    """A trial's file from a study, instead of all the above."""
+    host: str = "127.0.0.1"
+    """Address the page listens on."""
+    port: int = 8080
+    """Port of the page; 0 takes any free one."""
+
+
 _KINDS: dict[str, type] = {
     "tracing": Tracing,
     "cutting": Cutting,
     "power": Power,
     "calibrate": Calibrate,
+    "replay": Replay,
 }
 
 
 def main(arguments: list[str]) -> int:
-    """Run `experiment tracing`, `cutting`, `power` or `calibrate`; returns the exit code."""
+    """Run one of the kinds of `experiment`; returns the exit code."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(f"usage: vf-sandbox experiment {{{','.join(_KINDS)}}} [options]\n")
         for name, kind in _KINDS.items():
@@ -120,6 +147,8 @@ def main(arguments: list[str]) -> int:
             return _power(options, console)
         if isinstance(options, Calibrate):
             return _calibrate(options, console)
+        if isinstance(options, Replay):
+            return _replay(options, console)
         return _compare(name, options, console)
     except ImportError as error:
         return _complain(f"{error}: pip install 'vf-sandbox[experiments,study]'")
@@ -214,6 +243,42 @@ def _calibrate(options: Calibrate, console: Console) -> int:
     units = {f.name: f.metadata["unit"] for f in dataclasses.fields(operators.Operator)}
     for name in calibration.FITTED:
         console.print(f"{name} = {getattr(found.operator, name):.6g} {units[name]}")
+    return 0
+
+
+def _replay(options: Replay, console: Console) -> int:
+    from app.__main__ import bind_problem
+    from app.experiments import playback, protocol
+    from app.session import Session
+    from app.view.page import Page
+
+    if problem := bind_problem(options.host, options.port):
+        return _complain(problem)
+    if options.trial is not None:
+        values = json.loads(options.trial.read_text("utf-8"))
+        trial = protocol.Outcome.from_json(values).trial
+    else:
+        trial = protocol.Trial(
+            options.experiment, options.rule, options.number, seed=options.seed,
+            rate=options.rate, length=options.length,
+        )  # fmt: skip
+    with console.status(f"doing trial {escape(trial.key)}"):
+        recorded = protocol.record(trial)
+        scene = playback.scene(recorded)
+    with Session(playback.options(trial), scene=scene) as session:
+        page = Page(session, options.host, options.port)
+        try:
+            session.set_autopilot(True)
+            console.print(
+                f"{escape(trial.key)}: {recorded.outcome.duration:.0f} s. "
+                f"Open [bold]{page.url}[/] (Ctrl-C ends); reset and switch the autopilot on to "
+                "see it again"
+            )
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            console.print("Closing.")
+        finally:
+            page.close()
     return 0
 
 

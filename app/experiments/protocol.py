@@ -21,6 +21,7 @@ from app.experiments.follower import ControlledArm
 from app.experiments.operators import Operator
 from app.experiments.site import Course
 from app.experiments.trial import Run, perform
+from app.scene import corridor
 from app.settings import OptionError
 
 FloatArray = NDArray[np.float64]
@@ -209,10 +210,10 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
     believed = place.course.moved(found.T)
     fixtures: list[vf.Fixture] = []
     if trial.assisted:
-        direction = vf.cutting_direction(believed.points, believed.outward)
+        guarded = place.guarded(found.T)
         fixtures = [
-            vf.MeshFixture(place.guarded(found.T), trial.rule, RADIUS),
-            vf.CorridorFixture(believed.points, direction, trial.width),
+            vf.MeshFixture(guarded, trial.rule, RADIUS),
+            corridor(guarded, believed.points, trial.width),
         ]
     arm = ControlledArm(place.arm, fixtures, place.T_base_start, 1.0 / trial.rate)
     # Of this thread alone: what the machine does besides is not the trial's.
