@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vf.pdtree import STACK, Tree, within
+from vf.pdtree import STACK, Tree, triangles_of, within
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -154,16 +154,17 @@ def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
     while depth > 0:
         depth -= 1
         node = stack[depth]
-        if not _meets(tree.boxes[node], p, d, best):
+        if not _meets(tree.nodes[node], p, d, best):
             continue
-        child = tree.links[node, 0]
-        if child >= 0:
+        link = tree.nodes[node, 15]
+        if link > 0.0:
+            child = int(link)
             stack[depth] = child + 1
             stack[depth + 1] = child
             depth += 2
             continue
-        first = tree.links[node, 1]
-        for t in range(first, first + tree.links[node, 2]):
+        first, last = triangles_of(link)
+        for t in range(first, last):
             hit = _ray(tree.corners[t], p, d)
             if hit < best and not _touching(corners, own, tree.order[t]):
                 best, face = hit, tree.order[t]

@@ -7,17 +7,18 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import inf, isfinite
 from time import perf_counter
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from vf import problem
+from vf.cover import BUDGET, Buffer
 from vf.fixtures import ON_SURFACE, RULES, Fixture, MeshFixture
-from vf.haptics import force
 from vf.planes import FloatArray, Planes
-from vf.problem import assemble, at_limits, obeys, pace, usable
-from vf.qp import ConstrainedLeastSquares, Solution, Solver
+from vf.qp import ConstrainedLeastSquares, Solver
+from vf.qp_kernels import attempt
 from vf.surface import Surface
 
 # Missing less than this share of the standoff is rounding, not a state to report.
@@ -89,7 +90,7 @@ class Settings:
                 raise ValueError(f"{field.name} must be finite and {kind}, got {value!r}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Step:
     """What a tick did. Arrays are read-only; poses in the arm's base frame.
 
@@ -119,6 +120,71 @@ class Step:
     limits: NDArray[np.int8]
     timings: Timings
 
+    def __init__(
+        self,
+        q: FloatArray,
+        tip: pin.SE3,
+        planes: Planes,
+        force: FloatArray,
+        status: Status,
+        solver: Solver,
+        multipliers: FloatArray,
+        radius: float,
+        distance: float,
+        limits: NDArray[np.int8],
+        timings: Timings,
+    ) -> None:
+        self.__dict__.update(
+            q=q, tip=tip, planes=planes, force=force, status=status, solver=solver,
+            multipliers=multipliers, radius=radius, distance=distance, limits=limits,
+            timings=timings,
+        )  # fmt: skip
+
+    @staticmethod
+    def _reported(fields: dict[str, Any]) -> Step:
+        """A step whose further fields are cut out of a report when they are first asked for.
+
+        A tick makes a step, but few look at all of it: ten arrays cost as much as the solver.
+        """
+        step = object.__new__(Step)
+        step.__dict__.update(fields)
+        return step
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _CUT:
+            raise AttributeError(f"'Step' object has no attribute '{name}'")
+        fields = self.__dict__
+        out, n, m = fields["_out"], len(fields["q"]), fields["_m"]
+        value: Any
+        if name == "timings":
+            value = Timings(*fields["_times"])
+        elif name == "force":
+            value = out[:3]
+        elif name == "limits":
+            value = out[3 : 3 + n].astype(np.int8)
+        elif name == "multipliers":
+            value = out[3 + n : 3 + n + m]
+        else:
+            at = 3 + n + m
+            normals, offsets, points, triangles, rules = np.split(
+                out[at:], [3 * m, 4 * m, 7 * m, 8 * m]
+            )
+            value = Planes(
+                normals.reshape(m, 3),
+                offsets,
+                points.reshape(m, 3),
+                _read_only(triangles.astype(np.int64)),
+                _read_only(rules.astype(np.int64)),
+                fields["_reach"],
+            )
+        if name == "limits":
+            _read_only(value)
+        fields[name] = value
+        return value
+
+
+_CUT = ("planes", "force", "multipliers", "limits", "timings")
+
 
 class Kinematics(Protocol):
     """What the controller needs of an arm; `robots.Arm` has it."""
@@ -147,14 +213,27 @@ class Controller:
         self.fixtures = tuple(fixtures)
         self.settings = settings or Settings()
         n = len(arm.lower)
-        self._reach = arm.velocity * self.settings.dt
         self._tip_reach = self.settings.tip_speed * self.settings.dt
-        self._horizon = LOOK_AHEAD * self._reach
         self._qp = ConstrainedLeastSquares(n)
-        self._task = np.empty((6, n))
-        self._desired = np.empty(6)
-        self._lower = np.empty(n)
-        self._upper = np.empty(n)
+        self._table = np.zeros((problem.TABLE, n))
+        self._table[problem.LOWEST] = arm.lower
+        self._table[problem.HIGHEST] = arm.upper
+        self._table[problem.REACH] = self._reach = arm.velocity * self.settings.dt
+        self._table[problem.HORIZON] = LOOK_AHEAD * self._reach
+        self._lower, self._upper = self._table[problem.LOWER], self._table[problem.UPPER]
+        s = self.settings
+        self._numbers = np.zeros(problem.NUMBERS)
+        self._numbers[problem.STANDOFF :] = (
+            s.standoff, s.tip_radius, s.rotation_length, s.damping, s.force_gain, s.force_cap,
+            self._tip_reach,
+        )  # fmt: skip
+        self._reserve(BUDGET)
+        self._buffer = Buffer()
+        only = self.fixtures[0] if len(self.fixtures) == 1 else None
+        certified = isinstance(only, MeshFixture) and only.rule == "certified"
+        self._fill = only.fill if isinstance(only, MeshFixture) and certified else None
+        asked = [f.radius for f in self.fixtures if f.radius is not None]
+        self._asked = min(asked) if asked else None
         self._idle = np.zeros(n, dtype=np.int8)
         self._idle.flags.writeable = False
         # Which side a tip was on. A checked step stays on its side, so only a tip that no step of
@@ -191,49 +270,76 @@ class Controller:
         started = perf_counter()
         s = self.settings
         q = np.array(q, dtype=np.float64)
-        if q.shape != self.arm.lower.shape or not isfinite(q.dot(q)):
+        if q.shape != self._reach.shape or not isfinite(q.dot(q)):
             return self._refused(q, started)
         T, J = self.arm.kinematics(q)
-        x = T.translation.copy()
-        goal, R_goal = target.translation, target.rotation
-        if not usable(goal, R_goal):
-            return self._refused(q, started, T)
-        known = time_kinematics = perf_counter()
+        x = T.translation
+        pose, goal = T.homogeneous, target.homogeneous
+        time_kinematics = perf_counter()
 
-        radius = self._radius(J)
+        radius = self._asked or self._farthest(J)
         inside = self._sides(q, x)
-        parts = [
-            fixture.planes(x, radius, s.standoff, s.tip_radius, within)
-            for fixture, within in zip(self.fixtures, inside, strict=True)
-        ]
-        planes = parts[0] if len(parts) == 1 else _join(parts, radius)
-        m = len(planes)
-        rows = np.empty((m, len(q)))
-        bounds = np.empty(m)
+        planes: Planes | None = None
+        found = None
+        if self._fill is not None and not inside[0]:
+            found = self._fill(self._buffer, x, radius, s.standoff, s.tip_radius)
+        if found is not None:
+            half: Planes | Buffer = self._buffer
+            m, reach = found
+        else:
+            planes = self._planes(x, radius, inside)
+            half, m, reach = planes, len(planes), planes.radius
+            if m > self._qp.rows:
+                self._reserve(2 * m)
         time_planes = perf_counter()
 
-        distance, deficit = assemble(
-            J, x, T.rotation, goal, R_goal, planes.radius, s.rotation_length,
-            q, self.arm.lower, self.arm.upper,
-            planes.normals, planes.offsets, planes.points, planes.rules, s.standoff, s.tip_radius,
-            self._task, self._desired, self._lower, self._upper, rows, bounds,
+        q_new = np.empty(len(q))
+        code, count, distance, deficit, moves = problem.plan(
+            q, pose, J, goal, half.normals, half.offsets, half.points, half.rules, m, reach,
+            self._table, self._numbers, self._rows, self._bounds,
+            self._qp.scratch, self._qp.multipliers, q_new,
         )  # fmt: skip
-        recovering = deficit > NEGLIGIBLE * s.standoff
-        solution = self._solve(rows, bounds)
-        if solution.solver is Solver.INFEASIBLE and deficit > 0.0:
+        if code < 0:
+            return self._refused(q, started, T)
+        solver, _ = self._qp.complete(code, count, self._lower, self._upper)
+        if solver is Solver.INFEASIBLE and deficit > 0.0:
             # Recovery may be more than the joints can do; standing still never is.
-            np.minimum(bounds, 0.0, out=bounds)
-            solution = self._solve(rows, bounds)
+            np.minimum(self._bounds[:m], 0.0, out=self._bounds[:m])
+            solver = self._solve(self._bounds, m)
+            count = -1
+        if count:
+            moves = problem.move(q, J, self._qp.scratch, self._table, self._numbers, q_new)
         time_qp = perf_counter()
 
-        q_new, T_new, share = self._verify(q, T, x, J, planes, rows, bounds, solution, inside)
+        share = 1.0
+        if moves:
+            T_new = self.arm.tip(q_new)
+            pose_new = T_new.homogeneous
+        else:
+            q_new, T_new, pose_new = q, T, pose
+        multipliers = self._qp.multipliers
+        out = np.empty(3 + len(q) + (m if planes is not None else 10 * m))
+        allowed = problem.report(
+            q_new, pose, pose_new, goal,
+            half.normals, half.offsets, half.points, half.triangles, half.rules, m, reach,
+            self._table, self._numbers, multipliers, moves, planes is None, out,
+        )  # fmt: skip
+        if moves and not (allowed and self._no_deeper(T_new, x, inside)):
+            multipliers = multipliers.copy()
+            kept = planes if planes is not None else self._buffer.cut(m, reach)
+            q_new, T_new, share = self._less(q, T, T_new, x, J, kept, inside)
+            problem.report(
+                q_new, pose, T_new.homogeneous, goal,
+                half.normals, half.offsets, half.points, half.triangles, half.rules, m, reach,
+                self._table, self._numbers, multipliers, False, planes is None, out,
+            )  # fmt: skip
         q_new.flags.writeable = False
-        p_new = T_new.translation
-        if any(inside):
+        out.flags.writeable = False
+        if True in inside:
             status = Status.INSIDE
-        elif share == 0.0 or solution.solver is Solver.INFEASIBLE:
+        elif share == 0.0 or solver is Solver.INFEASIBLE:
             status = Status.HELD
-        elif recovering:
+        elif deficit > NEGLIGIBLE * s.standoff:
             status = Status.RECOVERING
         elif share < 1.0:
             status = Status.SHORTENED
@@ -241,40 +347,33 @@ class Controller:
             status = Status.SOLVED
         if self._keeps_side and status is not Status.INSIDE:
             self._known = (q_new.tobytes(), inside)
-        limits = at_limits(q_new, self.arm.lower, self.arm.upper)
-        F = force(p_new, goal, s.force_gain, s.force_cap)
-        for array in (
-            F, limits, solution.multipliers, planes.normals, planes.offsets, planes.points
-        ):  # fmt: skip
-            array.flags.writeable = False
+        fields: dict[str, Any] = {
+            "q": q_new, "tip": T_new, "status": status, "solver": solver,
+            "radius": radius, "distance": distance, "_out": out, "_m": m, "_reach": reach,
+        }  # fmt: skip
+        if planes is not None:
+            for array in (planes.normals, planes.offsets, planes.points):
+                array.flags.writeable = False
+            fields["planes"] = planes
         done = perf_counter()
-        return Step(
-            q_new,
-            T_new,
-            planes,
-            F,
-            status,
-            solution.solver,
-            solution.multipliers,
-            radius,
-            distance,
-            limits,
-            Timings(
-                time_kinematics - started,
-                time_planes - known,
-                time_qp - time_planes,
-                done - time_qp,
-                done - started,
-            ),
+        fields["_times"] = (
+            time_kinematics - started,
+            time_planes - time_kinematics,
+            time_qp - time_planes,
+            done - time_qp,
+            done - started,
         )
+        return Step._reported(fields)
 
-    def _radius(self, J: FloatArray) -> float:
-        """The smallest motion sphere the fixtures ask for; as far as a tick can go if none does."""
-        asked = [f.radius for f in self.fixtures if f.radius is not None]
-        if asked:
-            return min(asked)
-        columns = np.sqrt(np.einsum("ij,ij->j", J[:3], J[:3]))
-        return max(float(columns @ self._reach), 2.0 * self.settings.standoff)
+    def _reserve(self, rows: int) -> None:
+        """Room for that many planes."""
+        self._qp.reserve(rows)
+        self._rows = np.empty((rows, self._qp.n))
+        self._bounds = np.empty(rows)
+
+    def _farthest(self, J: FloatArray) -> float:
+        """The motion sphere where no fixture asks for one: as far as a tick can go."""
+        return max(problem.farthest(J, self._reach), 2.0 * self.settings.standoff)
 
     def _sides(self, q: FloatArray, x: FloatArray) -> tuple[bool, ...]:
         key = q.tobytes()
@@ -282,43 +381,50 @@ class Controller:
             self._known = (key, tuple(fixture.inside(x) for fixture in self.fixtures))
         return self._known[1]
 
-    def _solve(self, rows: FloatArray, bounds: FloatArray) -> Solution:
-        return self._qp.solve(
-            self._task, self._desired, self.settings.damping,
-            rows, bounds, self._lower, self._upper, self._horizon,
-        )  # fmt: skip
+    def _planes(self, x: FloatArray, radius: float, inside: tuple[bool, ...]) -> Planes:
+        """What all fixtures say, together."""
+        s = self.settings
+        parts = [
+            fixture.planes(x, radius, s.standoff, s.tip_radius, within)
+            for fixture, within in zip(self.fixtures, inside, strict=True)
+        ]
+        return parts[0] if len(parts) == 1 else _join(parts, radius)
 
-    def _verify(
+    def _solve(self, bounds: FloatArray, m: int) -> Solver:
+        """The problem that `plan` left, with other bounds."""
+        numbers, table = self._numbers, self._table
+        code, count = attempt(
+            table[: problem.LOWER], numbers[: problem.STANDOFF], self.settings.damping,
+            self._rows, bounds, self._lower, self._upper, table[problem.HORIZON],
+            m, self._qp.scratch, self._qp.multipliers,
+        )  # fmt: skip
+        return self._qp.complete(code, count, self._lower, self._upper)[0]
+
+    def _less(
         self,
         q: FloatArray,
         T: pin.SE3,
+        T_tried: pin.SE3,
         x: FloatArray,
         J: FloatArray,
         planes: Planes,
-        rows: FloatArray,
-        bounds: FloatArray,
-        solution: Solution,
         inside: tuple[bool, ...],
     ) -> tuple[FloatArray, pin.SE3, float]:
-        """Joint positions whose true tip obeys every plane and the ball, its pose, and the share.
+        """Where the optimum may not be taken: joint positions that may, their pose, and the share.
 
-        The optimum is first shortened, all joints alike, to what they can do in a tick and what
-        the tip may: it obeys the rows at any length, and the tip heads for where it will end.
-        Tried in this order: that; the same with the rows moved by the linearisation error just
-        seen; ever shorter parts of it; standing still.
+        The optimum was shortened, all joints alike, to what they can do in a tick and what the tip
+        may: it obeys the rows at any length, and the tip heads for where it will end. Tried in this
+        order: the same with the rows moved by the linearisation error just seen; ever shorter parts
+        of the first; standing still. The true tip of what is taken obeys every plane and the ball.
         """
-        paced = pace(solution.dq, self._reach, J, self._tip_reach)
-        dq = paced * solution.dq
-        if not dq.any():
-            return q, T, 1.0
-        T_new = self.arm.tip(q + dq)
-        if self._allowed(T_new, x, planes, inside):
-            return q + dq, T_new, 1.0
-        error = T_new.translation - x - J[:3] @ dq
-        second = self._solve(rows, (bounds - planes.normals @ error) / paced)
-        if second.solver is not Solver.INFEASIBLE:
-            share = pace(second.dq, self._reach, J, self._tip_reach)
-            q_second = q + share * second.dq
+        paced = problem.pace(self._qp.dq, self._reach, J, self._tip_reach)
+        dq = paced * self._qp.dq
+        m = len(planes)
+        error = T_tried.translation - x - J[:3] @ dq
+        bounds = (self._bounds[:m] - planes.normals @ error) / paced
+        if self._solve(bounds, m) is not Solver.INFEASIBLE:
+            q_second = np.empty(len(q))
+            problem.move(q, J, self._qp.scratch, self._table, self._numbers, q_second)
             T_new = self.arm.tip(q_second)
             if self._allowed(T_new, x, planes, inside):
                 return q_second, T_new, 1.0
@@ -338,8 +444,15 @@ class Controller:
         self, T_new: pin.SE3, x: FloatArray, planes: Planes, inside: tuple[bool, ...]
     ) -> bool:
         y = T_new.translation
-        if not obeys(planes.normals, planes.offsets, planes.radius, x, y):
+        if not problem.obeys(planes.normals, planes.offsets, len(planes), planes.radius, x, y):
             return False
+        return self._no_deeper(T_new, x, inside)
+
+    def _no_deeper(self, T_new: pin.SE3, x: FloatArray, inside: tuple[bool, ...]) -> bool:
+        """What planes cannot say of a tip that starts inside of something."""
+        if True not in inside:
+            return True
+        y = T_new.translation
         for fixture, within in zip(self.fixtures, inside, strict=True):
             # Outside, or at least no deeper (the plane alone would allow a detour), and not on the
             # surface, where no plane can tell the sides apart.
@@ -361,6 +474,11 @@ class Controller:
             Status.REFUSED, Solver.IDLE, none, 0.0, inf, self._idle,
             Timings(elapsed, 0.0, 0.0, 0.0, elapsed),
         )  # fmt: skip
+
+
+def _read_only(array: Any) -> Any:
+    array.flags.writeable = False
+    return array
 
 
 def _join(parts: Sequence[Planes], radius: float) -> Planes:

@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
-from vf.pdtree import box_distance2, triangle_at
+from vf.pdtree import Tree, box_distance2, triangle_at, triangles_of
 from vf.planes import FloatArray, Planes, checked_length, checked_point
 from vf.surface import Surface
 
@@ -80,11 +80,43 @@ def cover(
     surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
     """`certified_planes` for the control tick, where the arguments are known to be sound."""
-    return Planes(
-        *_cover(
-            surface.tree, surface.edges, surface.rounding, x, radius, standoff, tip_radius, BUDGET
+    planes = Buffer()
+    m, reach = planes.fill(surface, x, radius, standoff, tip_radius)
+    return planes.cut(m, reach)
+
+
+class Buffer:
+    """Room for the planes of one query, to be filled again and again. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self.normals = np.empty((BUDGET, 3))
+        self.offsets = np.empty(BUDGET)
+        self.points = np.empty((BUDGET, 3))
+        self.triangles = np.empty(BUDGET, dtype=np.int64)
+        self.rules = np.empty(BUDGET, dtype=np.int64)
+
+    def fill(
+        self, surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
+    ) -> tuple[int, float]:
+        """Planes for a tip at x (3,): their number, and the radius they are valid in [m]."""
+        tree = surface.tree
+        m, reach = _cover(
+            tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
+            x, radius, standoff, tip_radius,
+            self.normals, self.offsets, self.points, self.triangles, self.rules,
+        )  # fmt: skip
+        return m, reach
+
+    def cut(self, m: int, radius: float) -> Planes:
+        """The first m planes as arrays of their own."""
+        return Planes(
+            self.normals[:m].copy(),
+            self.offsets[:m].copy(),
+            self.points[:m].copy(),
+            self.triangles[:m].copy(),
+            self.rules[:m].copy(),
+            radius,
         )
-    )
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -134,19 +166,19 @@ def _less(d2, rim, far):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _box_behind(boxes, node, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
+def _box_behind(nodes, node, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
     """Whether a node's box is wholly behind one of the planes seen … m − 1."""
-    cx, cy, cz = boxes[node, 0], boxes[node, 1], boxes[node, 2]
+    cx, cy, cz = nodes[node, 0], nodes[node, 1], nodes[node, 2]
     for i in range(seen, m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         top = nx * cx + ny * cy + nz * cz - limits[i] + less * bumps[i]
         if top >= 0.0:
             continue
         for k in range(3):
-            top += boxes[node, 3 + k] * abs(
-                boxes[node, 6 + 3 * k] * nx
-                + boxes[node, 7 + 3 * k] * ny
-                + boxes[node, 8 + 3 * k] * nz
+            top += nodes[node, 3 + k] * abs(
+                nodes[node, 6 + 3 * k] * nx
+                + nodes[node, 7 + 3 * k] * ny
+                + nodes[node, 8 + 3 * k] * nz
             )
         if top < 0.0:
             return True
@@ -242,16 +274,16 @@ def _closest_on_polygon(polygon, count, x, y, z):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # type: ignore[no-untyped-def]
-    """The fields of `Planes`, see `certified_planes`."""
+def _cover(  # type: ignore[no-untyped-def]
+    nodes, corners, order, edges, rounding, p, radius, standoff, tip_radius,
+    normals, offsets, points, triangles, rules,
+):  # fmt: skip
+    """Fill the fields of `Planes`, see `certified_planes`; their number and the valid radius."""
+    tree = Tree(nodes, corners, order)
+    budget = offsets.shape[0]
     x, y, z = p[0], p[1], p[2]
     reach = radius + tip_radius
     reach2 = reach * reach * (1.0 + 1e-9) + 1e-30
-    normals = np.empty((budget, 3))
-    offsets = np.empty(budget)
-    points = np.empty((budget, 3))
-    triangles = np.empty(budget, dtype=np.int64)
-    rules = np.empty(budget, dtype=np.int64)
     # A point z of the mesh is behind plane i when n·z < limits[i], of which bumps[i] is for bumps
     # and counts less and less for triangles nearer than `far`.
     limits = np.empty(budget)
@@ -266,7 +298,7 @@ def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # t
     m = 0
     valid = radius
     size = 1
-    keys[0] = box_distance2(tree.boxes, 0, x, y, z)
+    keys[0] = box_distance2(tree.nodes, 0, x, y, z)
     items[0] = 0
     while size > 0:
         d2 = keys[0]
@@ -279,20 +311,26 @@ def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # t
         item = item // SEEN
         less = _less(d2, tip_radius, far)
         if item >= 0:
-            if _box_behind(tree.boxes, item, normals, limits, bumps, less, seen, m):
+            if _box_behind(tree.nodes, item, normals, limits, bumps, less, seen, m):
                 continue
-            child = tree.links[item, 0]
-            first = tree.links[item, 1]
-            count = 2 if child >= 0 else tree.links[item, 2]
+            link = tree.nodes[item, 15]
+            if link > 0.0:
+                child = int(link)
+                first = 0
+                count = 2
+            else:
+                child = -1
+                first, last = triangles_of(link)
+                count = last - first
             if size + count > HEAP:
                 valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
                 break
             for c in range(count):
                 if child >= 0:
                     entry = child + c
-                    e2 = box_distance2(tree.boxes, entry, x, y, z)
+                    e2 = box_distance2(tree.nodes, entry, x, y, z)
                     if e2 <= reach2 and _box_behind(
-                        tree.boxes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
+                        tree.nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
                     ):
                         continue
                 else:
@@ -360,14 +398,7 @@ def _cover(tree, edges, rounding, p, radius, standoff, tip_radius, budget):  # t
         triangles[m] = tree.order[t]
         rules[m] = rule
         m += 1
-    return (
-        normals[:m].copy(),
-        offsets[:m].copy(),
-        points[:m].copy(),
-        triangles[:m].copy(),
-        rules[:m].copy(),
-        valid,
-    )
+    return m, valid
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from vf.conditions import every_plane, paper_planes
-from vf.cover import YIELD, cover
+from vf.cover import YIELD, Buffer, cover
 from vf.planes import FloatArray, Planes, Rule, checked_length
 from vf.surface import Surface
 
@@ -86,6 +86,16 @@ class MeshFixture:
         # Towards x by the standoff, but never past it: standing still stays allowed.
         offsets = np.minimum(planes.offsets + standoff + tip_radius, planes.normals @ x - YIELD)
         return replace(planes, offsets=offsets, radius=radius)
+
+    def fill(
+        self, buffer: Buffer, x: FloatArray, radius: float, standoff: float, tip_radius: float
+    ) -> tuple[int, float] | None:
+        """`planes` of the certified rule outside, into a buffer: their number and valid radius.
+
+        None where one walk of the tree does not answer; then ask `planes`.
+        """
+        m, reach = buffer.fill(self.surface, x, radius, standoff, tip_radius)
+        return None if reach == 0.0 and self.surface.closed else (m, reach)
 
     def _way_out(self, x: FloatArray, radius: float, clearance: float) -> Planes:
         """From inside: one plane at x that lets only motion towards the nearest surface pass."""

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from vf.closest import closest_on_triangle
 from vf.planes import FloatArray, IntArray
@@ -25,17 +24,26 @@ STACK = 256  # deeper than any tree: no split is worse than 1 : 9, see `build`
 class Tree(NamedTuple):
     """Flat arrays of a PD-tree with k nodes over m triangles.
 
+    A node's record is 128 bytes: all that a walk needs of it comes with two cache lines.
+
     Attributes:
-        boxes: (k, 15) centre (3), half sizes (3), rows of the rotation world → box (9).
-        links: (k, 3) first child (−1: leaf; the second child follows it), first triangle, count.
+        nodes: (k, 16) centre (3), half sizes (3), rows of the rotation world → box (9), link: the
+            first child, which the second one follows, or for a leaf −(64 · first triangle + count).
         corners: (m, 9) corners of the triangles in tree order.
         order: (m,) the caller's index of each triangle in tree order.
     """
 
-    boxes: FloatArray
-    links: NDArray[np.int32]
+    nodes: FloatArray
     corners: FloatArray
     order: IntArray
+
+
+@njit(cache=True, nogil=True, inline="always")
+def triangles_of(link):  # type: ignore[no-untyped-def]
+    """First triangle of a leaf and the one after its last, from the link of its node."""
+    code = int(-link)
+    first = code >> 6
+    return first, first + (code & 63)
 
 
 @njit(cache=True, nogil=True)
@@ -84,7 +92,10 @@ def _principal(cov, axes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-untyped-def]
-    """Fill the arrays of a tree; `corners` and `centroids` are permuted along with `order`."""
+    """Fill boxes, and links: first child or −1, first triangle, count.
+
+    `corners` and `centroids` are permuted along with `order`.
+    """
     m = order.shape[0]
     cov = np.empty((3, 3))
     axes = np.empty((3, 3))
@@ -197,25 +208,28 @@ def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-un
 
 
 def build(vertices: FloatArray, faces: IntArray, leaf: int = LEAF) -> Tree:
-    """PD-tree of the triangles `faces` (m, 3) over `vertices` (n, 3) [m]."""
+    """PD-tree of the triangles `faces` (m, 3) over `vertices` (n, 3) [m]; leaf < 64."""
     m = len(faces)
     corners = np.ascontiguousarray(vertices[faces].reshape(m, 9))
     centroids = (corners[:, 0:3] + corners[:, 3:6] + corners[:, 6:9]) / 3.0
-    boxes = np.empty((2 * m, 15))
+    nodes = np.empty((2 * m, 16))
     links = np.empty((2 * m, 3), dtype=np.int32)
     order = np.arange(m, dtype=np.int64)
-    nodes = _build(corners, centroids, boxes, links, order, leaf)
-    return Tree(boxes[:nodes].copy(), links[:nodes].copy(), corners, order)
+    count = _build(corners, centroids, nodes, links, order, leaf)
+    nodes, links = nodes[:count].copy(), links[:count]
+    inner = links[:, 0] >= 0
+    nodes[:, 15] = np.where(inner, links[:, 0], -(64.0 * links[:, 1] + links[:, 2]))
+    return Tree(nodes, corners, order)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def box_distance2(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
+def box_distance2(nodes, node, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance of a point to the box of a node (0 inside)."""
-    dx, dy, dz = x - boxes[node, 0], y - boxes[node, 1], z - boxes[node, 2]
+    dx, dy, dz = x - nodes[node, 0], y - nodes[node, 1], z - nodes[node, 2]
     d2 = 0.0
     for k in range(3):
-        p = boxes[node, 6 + 3 * k] * dx + boxes[node, 7 + 3 * k] * dy + boxes[node, 8 + 3 * k] * dz
-        e = abs(p) - boxes[node, 3 + k]
+        p = nodes[node, 6 + 3 * k] * dx + nodes[node, 7 + 3 * k] * dy + nodes[node, 8 + 3 * k] * dz
+        e = abs(p) - nodes[node, 3 + k]
         if e > 0.0:
             d2 += e * e
     return d2
@@ -258,16 +272,17 @@ def within(tree, x, y, z, radius, triangles, points, features, distances):  # ty
     while depth > 0:
         depth -= 1
         node = stack[depth]
-        if box_distance2(tree.boxes, node, x, y, z) > reach2:
+        if box_distance2(tree.nodes, node, x, y, z) > reach2:
             continue
-        child = tree.links[node, 0]
-        if child >= 0:
+        link = tree.nodes[node, 15]
+        if link > 0.0:
+            child = int(link)
             stack[depth] = child + 1
             stack[depth + 1] = child
             depth += 2
             continue
-        first = tree.links[node, 1]
-        for t in range(first, first + tree.links[node, 2]):
+        first, last = triangles_of(link)
+        for t in range(first, last):
             px, py, pz, feature, d2 = triangle_at(tree.corners, t, x, y, z)
             if d2 <= r2:
                 if found < room:
@@ -290,17 +305,18 @@ def nearest(tree, x, y, z, limit):  # type: ignore[no-untyped-def]
     row = -1
     bx = by = bz = 0.0
     stack[0] = 0
-    lower[0] = box_distance2(tree.boxes, 0, x, y, z)
+    lower[0] = box_distance2(tree.nodes, 0, x, y, z)
     depth = 1
     while depth > 0:
         depth -= 1
         if lower[depth] > best:
             continue
         node = stack[depth]
-        child = tree.links[node, 0]
-        if child >= 0:
-            d0 = box_distance2(tree.boxes, child, x, y, z)
-            d1 = box_distance2(tree.boxes, child + 1, x, y, z)
+        link = tree.nodes[node, 15]
+        if link > 0.0:
+            child = int(link)
+            d0 = box_distance2(tree.nodes, child, x, y, z)
+            d1 = box_distance2(tree.nodes, child + 1, x, y, z)
             near, far = child, child + 1
             if d1 < d0:
                 d0, d1 = d1, d0
@@ -314,8 +330,8 @@ def nearest(tree, x, y, z, limit):  # type: ignore[no-untyped-def]
                 lower[depth] = d0
                 depth += 1
             continue
-        first = tree.links[node, 1]
-        for t in range(first, first + tree.links[node, 2]):
+        first, last = triangles_of(link)
+        for t in range(first, last):
             px, py, pz, _feature, d2 = triangle_at(tree.corners, t, x, y, z)
             if d2 < best or (d2 == best and row < 0):
                 best = d2
@@ -324,3 +340,28 @@ def nearest(tree, x, y, z, limit):  # type: ignore[no-untyped-def]
     if row < 0:
         best = np.inf
     return best, row, bx, by, bz
+
+
+@njit(cache=True, nogil=True)
+def nearest_face(nodes, corners, order, p, limit, point):  # type: ignore[no-untyped-def]
+    """`nearest` for one call from Python: distance, the caller's index of the face, and the point.
+
+    The face is −1 where there is none within `limit`, −2 where p (3,) is not finite.
+    """
+    if not np.isfinite(p[0] + p[1] + p[2]):
+        return np.inf, -2
+    d2, row, point[0], point[1], point[2] = nearest(
+        Tree(nodes, corners, order), p[0], p[1], p[2], limit
+    )
+    if row < 0:
+        return np.inf, -1
+    return np.sqrt(d2), order[row]
+
+
+@njit(cache=True, nogil=True)
+def within_ball(nodes, corners, order, p, radius, triangles, points, features, distances):  # type: ignore[no-untyped-def]
+    """`within` for one call from Python."""
+    return within(
+        Tree(nodes, corners, order), p[0], p[1], p[2], radius,
+        triangles, points, features, distances,
+    )  # fmt: skip

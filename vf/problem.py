@@ -8,6 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from vf.haptics import force
+from vf.qp_kernels import attempt, carve
+
 # A target farther than this from the base is a mistake, not a wish [m].
 FARTHEST = 10.0
 # Rows are tightened by this against the planes that are verified, ten times OSQP's tolerance, so
@@ -102,14 +105,13 @@ def _prepare(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
+def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the planes; returns the nearest point's distance and the worst deficit.
 
     A tool below the standoff is asked to come out by a share of what is missing. Walls closer than
     two standoffs cannot both be obeyed, so the requests are first reconciled in the tip's space:
     alternating projections give a motion v, and no row asks for more than v does.
     """
-    m = normals.shape[0]
     n = J.shape[1]
     nearest = np.inf
     deficit = 0.0
@@ -163,20 +165,6 @@ def _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bou
 
 
 @njit(cache=True, nogil=True)
-def assemble(  # type: ignore[no-untyped-def]
-    J, x, R, goal, R_goal, radius, length, q, lowest, highest,
-    normals, offsets, points, rules, standoff, tip_radius,
-    task, desired, lower, upper, rows, bounds,
-):  # fmt: skip
-    """The whole problem of a tick in one call from Python: `_prepare`, then `_rows`."""
-    _prepare(
-        J, x, R, goal, R_goal, radius, length, q, lowest, highest,
-        task, desired, lower, upper,
-    )  # fmt: skip
-    return _rows(normals, offsets, points, rules, x, J, standoff, tip_radius, rows, bounds)
-
-
-@njit(cache=True, nogil=True)
 def pace(dq, reach, J, tip_reach):  # type: ignore[no-untyped-def]
     """Largest share ≤ 1 of the joint step dq (n,) that fits into a tick.
 
@@ -201,25 +189,127 @@ def pace(dq, reach, J, tip_reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def at_limits(q, lower, upper):  # type: ignore[no-untyped-def]
-    """−1 where a joint is at its lower limit, +1 at its upper one, else 0."""
-    limits = np.zeros(q.shape[0], dtype=np.int8)
-    for j in range(q.shape[0]):
-        if q[j] >= upper[j]:
-            limits[j] = 1
-        elif q[j] <= lower[j]:
-            limits[j] = -1
-    return limits
+def farthest(J, reach):  # type: ignore[no-untyped-def]
+    """How far the tip can go [m] when every joint goes as far as its reach (n,)."""
+    far = 0.0
+    for j in range(reach.shape[0]):
+        far += reach[j] * np.sqrt(J[0, j] ** 2 + J[1, j] ** 2 + J[2, j] ** 2)
+    return far
 
 
 @njit(cache=True, nogil=True)
-def obeys(normals, offsets, radius, x, y):  # type: ignore[no-untyped-def]
-    """Whether the tip y is in the ball around x and on the allowed side of every plane."""
+def obeys(normals, offsets, m, radius, x, y):  # type: ignore[no-untyped-def]
+    """Whether the tip y is in the ball around x and on the allowed side of the first m planes."""
     d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
     if not d2 <= radius * radius:
         return False
-    for i in range(normals.shape[0]):
+    for i in range(m):
         slack = normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2] - offsets[i]
         if not slack >= 0.0:
             return False
+    return True
+
+
+# Rows of the table that a controller hands to `plan` and `report`, each (n,) …
+TASK, LOWER, UPPER, LOWEST, HIGHEST, REACH, HORIZON = 0, 6, 7, 8, 9, 10, 11
+TABLE = 12
+# … and entries of its list of numbers.
+DESIRED, STANDOFF, TIP_RADIUS, LENGTH, DAMPING, GAIN, CAP, TIP_REACH = 0, 6, 7, 8, 9, 10, 11, 12
+NUMBERS = 13
+
+
+@njit(cache=True, nogil=True)
+def plan(  # type: ignore[no-untyped-def]
+    q, T, J, goal, normals, offsets, points, rules, m, radius,
+    table, numbers, G, b, scratch, multipliers, q_new,
+):  # fmt: skip
+    """From planes to the joint positions to be checked, as far as no other library is needed.
+
+    Args:
+        q: (n,) joint positions.
+        T, goal: (4, 4) poses of tip and target.
+        J: (6, n).
+        normals, offsets, points, rules: fields of `Planes`, of which the first m count.
+        radius: they are valid in.
+        table, numbers: see `TASK` and `DESIRED`; task, bounds and desired step are written.
+        G, b: (≥ m, n), (≥ m,) the planes' rows, written.
+        scratch, multipliers: of `ConstrainedLeastSquares`, written.
+        q_new: (n,) written where no rows are left for OSQP.
+
+    Returns:
+        Code of the `Solver`, −1: the goal is not usable; rows left for OSQP; distance of the
+        nearest plane's point [m]; worst deficit to the standoff [m]; whether q_new is another q.
+    """
+    if not usable(goal[:3, 3], goal[:3, :3]):
+        return -1, 0, np.inf, 0.0, False
+    x = T[:3, 3]
+    desired = numbers[:6]
+    lower, upper = table[LOWER], table[UPPER]
+    _prepare(
+        J, x, T[:3, :3], goal[:3, 3], goal[:3, :3], radius, numbers[LENGTH],
+        q, table[LOWEST], table[HIGHEST], table[:6], desired, lower, upper,
+    )  # fmt: skip
+    nearest, deficit = _rows(
+        normals, offsets, points, rules, m, x, J, numbers[STANDOFF], numbers[TIP_RADIUS], G, b
+    )
+    solver, count = attempt(
+        table[:6], desired, numbers[DAMPING], G, b, lower, upper, table[HORIZON],
+        m, scratch, multipliers,
+    )  # fmt: skip
+    moves = False
+    if count == 0:
+        moves = move(q, J, scratch, table, numbers, q_new)
+    return solver, count, nearest, deficit, moves
+
+
+@njit(cache=True, nogil=True)
+def move(q, J, scratch, table, numbers, q_new):  # type: ignore[no-untyped-def]
+    """q_new = q + the solver's step, shortened to what a tick allows; whether there is one."""
+    n = q.shape[0]
+    dq = carve(scratch, n)[3]
+    share = pace(dq, table[REACH], J, numbers[TIP_REACH])
+    moves = False
+    for j in range(n):
+        step = share * dq[j]
+        moves |= step != 0.0
+        q_new[j] = q[j] + step
+    return moves
+
+
+@njit(cache=True, nogil=True)
+def report(  # type: ignore[no-untyped-def]
+    q_new, T, T_new, goal, normals, offsets, points, triangles, rules, m, radius,
+    table, numbers, multipliers, check, whole, out,
+):  # fmt: skip
+    """Check the tip at q_new, and write what there is to say about it: whether it may go there.
+
+    Args:
+        T, T_new, goal: (4, 4) poses of the tip before and after, and of the target.
+        check: False: it stays where it is, or was checked before.
+        whole: whether the planes are written too.
+        out: written if it may: force (3), limits of the joints (n), multipliers (m), and where
+            `whole` normals (3m), offsets (m), points (3m), triangles (m), rules (m).
+    """
+    x, y = T[:3, 3], T_new[:3, 3]
+    if check and not obeys(normals, offsets, m, radius, x, y):
+        return False
+    n = q_new.shape[0]
+    out[:3] = force(y, goal[:3, 3], numbers[GAIN], numbers[CAP])
+    for j in range(n):
+        if q_new[j] >= table[HIGHEST, j]:
+            out[3 + j] = 1.0
+        else:
+            out[3 + j] = -1.0 if q_new[j] <= table[LOWEST, j] else 0.0
+    at = 3 + n
+    for i in range(m):
+        out[at + i] = multipliers[i]
+    if whole:
+        at += m
+        for i in range(m):
+            for k in range(3):
+                out[at + 3 * i + k] = normals[i, k]
+                out[at + 4 * m + 3 * i + k] = points[i, k]
+            out[at + 3 * m + i] = offsets[i]
+            out[at + 7 * m + i] = triangles[i]
+            out[at + 8 * m + i] = rules[i]
     return True

@@ -25,10 +25,10 @@ from enum import IntEnum
 
 import numpy as np
 import osqp
-from numba import njit
 from scipy import sparse
 
 from vf.planes import FloatArray
+from vf.qp_kernels import attempt, finish, pack, scratch_size
 
 MM = 1e3  # [mm/m]
 TOLERANCE = 1e-4  # OSQP's primal and dual tolerance [mm]
@@ -81,22 +81,24 @@ class ConstrainedLeastSquares:
             raise ValueError(f"the number of joints must be positive, got {n}")
         self.n = n
         self._workspaces: dict[int, _Workspace] = {}
-        self._factor = np.empty((n, n))
-        self._best = np.empty(n)
-        self._x = np.empty(n)
         self._endless = np.full(n, np.inf)
-        self._grow(capacity)
+        self.reserve(capacity - 2 * n)
         rows = 8
         while rows <= capacity:
             self._workspaces[rows] = _Workspace(n, rows)
             rows *= 2
 
-    def _grow(self, rows: int) -> None:
-        self._rows = np.empty((rows, self.n))
-        self._bounds = np.empty(rows)
-        self._y = np.empty(rows)
-        self._scales = np.empty(rows)
-        self._origin = np.empty(rows, dtype=np.int64)
+    def reserve(self, rows: int) -> None:
+        """Have room for problems with that many rows of G.
+
+        Attributes that change: `scratch`, what the kernels work in; `dq` (n,), a view of it, and
+        `multipliers` (≥ rows,): the answer of the last problem.
+        """
+        n = self.n
+        self.rows = max(rows, 0)
+        self.scratch = np.zeros(scratch_size(n, self.rows + 2 * n))
+        self.dq = self.scratch[n * n + 2 * n : n * n + 3 * n]
+        self.multipliers = np.zeros(max(self.rows, 1))
 
     def solve(
         self,
@@ -121,35 +123,40 @@ class ConstrainedLeastSquares:
                 the tip still heads straight for its goal. None: as far as d asks.
         """
         m = len(b)
-        if m + 2 * self.n > len(self._bounds):
-            self._grow(2 * (m + 2 * self.n))
-        dq = np.zeros(self.n)
-        multipliers = np.zeros(m)
-        solver, count = _attempt(
+        if m > self.rows:
+            self.reserve(2 * m)
+        solver, count = attempt(
             J, d, damping, G, b, lower, upper, self._endless if pace is None else pace,
-            self._factor, self._best, self._rows, self._bounds, self._scales, self._origin,
-            self._x, self._y, dq, multipliers,
+            m, self.scratch, self.multipliers,
         )  # fmt: skip
+        code, iterations = self.complete(solver, count, lower, upper)
+        return Solution(self.dq.copy(), self.multipliers[:m].copy(), code, iterations)
+
+    def complete(
+        self, solver: int, count: int, lower: FloatArray, upper: FloatArray
+    ) -> tuple[Solver, int]:
+        """What `qp_kernels.attempt` began, by OSQP if rows are left for it: solver and iterations.
+
+        The answer is in `dq` and `multipliers`, and lasts until the next problem.
+        """
         if count == 0:
-            return Solution(dq, multipliers, _SOLVERS[solver], 0)
+            return _SOLVERS[solver], 0
         size = 8
         while size < count:
             size *= 2
         workspace = self._workspaces.get(size)
         if workspace is None:
             workspace = self._workspaces[size] = _Workspace(self.n, size)
-        solver, iterations = workspace.solve(self._rows, self._bounds, count, self._best)
-        if solver is Solver.INFEASIBLE:
-            return Solution(dq, multipliers, solver, iterations)
+        code, iterations = workspace.solve(self.scratch, count)
+        if code is Solver.INFEASIBLE:
+            return code, iterations
         # OSQP's answer is good to its tolerance; the active set it found gives the exact one.
-        x, y = workspace.x.copy(), workspace.y.copy()
-        if _settle(self._best, self._rows, self._bounds, count, 4 * self.n, x, y):
-            solver = Solver.SOLVED
-        _recover(
-            x, y, count, self._factor, self._scales, self._origin,
-            lower, upper, dq, multipliers,
-        )  # fmt: skip
-        return Solution(dq, multipliers, solver, iterations)
+        if finish(
+            workspace.x, workspace.y, count, 4 * self.n, lower, upper,
+            self.scratch, self.multipliers,
+        ):  # fmt: skip
+            code = Solver.SOLVED
+        return code, iterations
 
 
 class _Workspace:
@@ -187,10 +194,9 @@ class _Workspace:
         self.x = np.zeros(n)
         self.y = np.zeros(rows)
 
-    def solve(
-        self, rows: FloatArray, bounds: FloatArray, count: int, best: FloatArray
-    ) -> tuple[Solver, int]:
-        _pack(rows, bounds, count, best, self._values, self._low, self._linear)
+    def solve(self, scratch: FloatArray, count: int) -> tuple[Solver, int]:
+        """Solve for the first `count` rows of the scratch; the answer is in x and y."""
+        pack(scratch, count, self._values, self._low, self._linear)
         self._osqp.update_data_vec(q=self._linear, l=self._low, u=None)
         self._osqp.update_data_mat(P_x=None, P_i=None, A_x=self._values, A_i=None)
         self._osqp.warm_start(self._x0, self._y0)
@@ -215,261 +221,3 @@ _INFEASIBLE = (
     osqp.SolverStatus.OSQP_DUAL_INFEASIBLE,
     osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE,
 )
-
-
-@njit(cache=True, nogil=True)
-def _reduce(  # type: ignore[no-untyped-def]
-    J, d, damping, G, b, lower, upper, pace,
-    factor, best, rows, bounds, scales, origin, dq,
-):  # fmt: skip
-    """Factor, unconstrained optimum and the rows that matter; 0 rows: `dq` is the answer, −1: none.
-
-    `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
-    """
-    k, n = J.shape
-    for i in range(n):
-        for j in range(i + 1):
-            h = damping if i == j else 0.0
-            for r in range(k):
-                h += J[r, i] * J[r, j]
-            for r in range(j):
-                h -= factor[i, r] * factor[j, r]
-            factor[i, j] = np.sqrt(h) if i == j else h / factor[j, j]
-    for i in range(n):
-        h = 0.0
-        for r in range(k):
-            h += J[r, i] * d[r]
-        for r in range(i):
-            h -= factor[i, r] * best[r]
-        best[i] = h / factor[i, i]
-    for i in range(n - 1, -1, -1):
-        h = best[i]
-        for r in range(i + 1, n):
-            h -= factor[r, i] * dq[r]
-        dq[i] = h / factor[i, i]
-    excess = 1.0
-    for j in range(n):
-        if abs(dq[j]) > excess * pace[j]:
-            excess = abs(dq[j]) / pace[j]
-    for j in range(n):
-        best[j] /= excess
-        dq[j] /= excess
-
-    free = True
-    highest = 0.0
-    for i in range(b.shape[0]):
-        value = 0.0
-        for j in range(n):
-            value += G[i, j] * dq[j]
-        free &= value >= b[i]
-        highest = max(highest, b[i])
-    for j in range(n):
-        free &= lower[j] <= dq[j] <= upper[j]
-    if free:
-        return 0
-
-    length = 0.0
-    for j in range(n):
-        best[j] *= 1e3
-        length += best[j] * best[j]
-    # Where a row asks for motion (b > 0) zero is infeasible; the ball is widened by a generous
-    # multiple of that motion instead of being placed exactly. What slips out, `verify` catches.
-    half = 0.5 * np.sqrt(length) + 8.0 * 1e3 * highest
-    count = 0
-    for i in range(b.shape[0] + 2 * n):
-        if i < b.shape[0]:
-            for j in range(n):
-                h = G[i, j]
-                for r in range(j):
-                    h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h / factor[j, j]
-            bound = b[i]
-            origin[count] = i
-        else:
-            c = (i - b.shape[0]) % n
-            sign = 1.0 if i < b.shape[0] + n else -1.0
-            for j in range(n):
-                h = sign if j == c else 0.0
-                for r in range(j):
-                    h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h / factor[j, j]
-            bound = lower[c] if sign > 0.0 else -upper[c]
-            origin[count] = -1 - (i - b.shape[0])
-        norm = 0.0
-        middle = 0.0
-        for j in range(n):
-            norm += rows[count, j] * rows[count, j]
-            middle += rows[count, j] * best[j]
-        norm = np.sqrt(norm)
-        if norm < 1e-12:  # no joint moves the tip along this normal
-            if bound > 0.0:
-                return -1
-            continue
-        bound *= 1e3 / norm
-        if 0.5 * middle / norm - half > bound + 1e-9:
-            continue
-        for j in range(n):
-            rows[count, j] /= norm
-        bounds[count] = bound
-        scales[count] = norm
-        count += 1
-    if count == 0:
-        # Only rounding stood between the unconstrained optimum and its bounds.
-        for j in range(n):
-            dq[j] = min(max(dq[j], lower[j]), upper[j])
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers):  # type: ignore[no-untyped-def]
-    """Joint step and multipliers in the caller's coordinates."""
-    n = x.shape[0]
-    for i in range(n - 1, -1, -1):
-        h = x[i] * 1e-3
-        for r in range(i + 1, n):
-            h -= factor[r, i] * dq[r]
-        dq[i] = h / factor[i, i]
-    for j in range(n):
-        dq[j] = min(max(dq[j], lower[j]), upper[j])
-    for i in range(count):
-        if origin[i] >= 0 and y[i] < 0.0:
-            multipliers[origin[i]] = -y[i] * 1e-3 / scales[i]
-
-
-@njit(cache=True, nogil=True)
-def _worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
-    """Mark the row that u* breaks most as the only active one (y < 0)."""
-    row = 0
-    worst = -np.inf
-    for i in range(count):
-        y[i] = 0.0
-        broken = bounds[i]
-        for j in range(best.shape[0]):
-            broken -= rows[i, j] * best[j]
-        if broken > worst:
-            worst = broken
-            row = i
-    y[row] = -1.0
-
-
-@njit(cache=True, nogil=True)
-def _settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped-def]
-    """Project u* on the active rows (y < 0), all at once, and take that if it is the optimum.
-
-    It is when it obeys every row and every multiplier has the right sign; then x and y are exact
-    and the answer is True. Otherwise up to `changes` times a row with a multiplier of the wrong
-    sign leaves the active ones, or else the most broken row joins them.
-    """
-    n = best.shape[0]
-    active = np.empty(n, dtype=np.int64)
-    gram = np.empty((n, n))
-    c = np.empty(n)
-    u = np.empty(n)
-    k = 0
-    for _ in range(n):  # the n largest multipliers, largest first
-        row = -1
-        for i in range(count):
-            if y[i] < -1e-9 and (row < 0 or y[i] < y[row]):
-                taken = False
-                for a in range(k):
-                    taken |= active[a] == i
-                if not taken:
-                    row = i
-        if row < 0:
-            break
-        active[k] = row
-        k += 1
-    for _ in range(changes + 1):
-        a = 0
-        while a < k:
-            h = bounds[active[a]]
-            for j in range(n):
-                h -= rows[active[a], j] * best[j]
-            c[a] = h
-            for b in range(a + 1):
-                h = 0.0
-                for j in range(n):
-                    h += rows[active[a], j] * rows[active[b], j]
-                for r in range(b):
-                    h -= gram[a, r] * gram[b, r]
-                gram[a, b] = h if a == b else h / gram[b, b]
-            if gram[a, a] < 1e-10:  # depends on those before it: they speak for it
-                k -= 1
-                for b in range(a, k):
-                    active[b] = active[b + 1]
-                continue
-            gram[a, a] = np.sqrt(gram[a, a])
-            for r in range(a):
-                c[a] -= gram[a, r] * c[r]
-            c[a] /= gram[a, a]
-            a += 1
-        wrong = -1
-        for a in range(k - 1, -1, -1):
-            for r in range(a + 1, k):
-                c[a] -= gram[r, a] * c[r]
-            c[a] /= gram[a, a]
-            if c[a] < 0.0 and (wrong < 0 or c[a] < c[wrong]):
-                wrong = a
-        if wrong >= 0:
-            k -= 1
-            for a in range(wrong, k):
-                active[a] = active[a + 1]
-            continue
-        for j in range(n):
-            u[j] = best[j]
-            for a in range(k):
-                u[j] += c[a] * rows[active[a], j]
-        row = -1
-        worst = 1e-9
-        for i in range(count):
-            broken = bounds[i]
-            for j in range(n):
-                broken -= rows[i, j] * u[j]
-            if broken > worst:
-                worst = broken
-                row = i
-        if row < 0:
-            x[:] = u
-            y[:] = 0.0
-            for a in range(k):
-                y[active[a]] = -c[a]
-            return True
-        if k == n:
-            return False
-        active[k] = row
-        k += 1
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _attempt(  # type: ignore[no-untyped-def]
-    J, d, damping, G, b, lower, upper, pace,
-    factor, best, rows, bounds, scales, origin, x, y, dq, multipliers,
-):  # fmt: skip
-    """All that can be had without OSQP, in one call from Python: solver and 0, or rows for OSQP."""
-    count = _reduce(
-        J, d, damping, G, b, lower, upper, pace, factor, best, rows, bounds, scales, origin, dq
-    )
-    if count == 0:
-        return 0, 0
-    if count < 0:
-        dq[:] = 0.0
-        return 3, 0
-    _worst(best, rows, bounds, count, y)
-    if _settle(best, rows, bounds, count, 0, x, y):
-        _recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
-        return 5, 0
-    dq[:] = 0.0
-    return 1, count
-
-
-@njit(cache=True, nogil=True)
-def _pack(rows, bounds, count, best, values, low, linear):  # type: ignore[no-untyped-def]
-    n = best.shape[0]
-    size = low.shape[0]
-    for i in range(size):
-        low[i] = bounds[i] if i < count else -np.inf
-        for j in range(n):
-            values[j * size + i] = rows[i, j] if i < count else 0.0
-    for j in range(n):
-        linear[j] = -best[j]

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -152,9 +151,7 @@ class Surface:
             points = np.empty((room, 3))
             features = np.empty(room, dtype=np.int8)
             distances = np.empty(room)
-            k = pdtree.within(
-                self.tree, p[0], p[1], p[2], radius, triangles, points, features, distances
-            )
+            k = pdtree.within_ball(*self.tree, p, radius, triangles, points, features, distances)
             if k <= room:
                 return Contacts(triangles[:k], points[:k], features[:k], distances[:k])
             room = k
@@ -164,11 +161,14 @@ class Surface:
 
         Beyond `limit` [m] the answer is (inf, −1, x).
         """
-        p = checked_point(x)
-        d2, row, px, py, pz = pdtree.nearest(self.tree, p[0], p[1], p[2], limit)
-        if row < 0:
-            return np.inf, -1, p
-        return sqrt(d2), int(self.tree.order[row]), np.array([px, py, pz])
+        p = np.asarray(x, dtype=np.float64)
+        if p.shape != (3,):
+            checked_point(x)
+        point = np.empty(3)
+        distance, face = pdtree.nearest_face(*self.tree, p, limit, point)
+        if face < 0:
+            return np.inf, -1, checked_point(x)
+        return distance, face, point
 
     @cached_property
     def _solid(self) -> tuple[bool, Moments]:

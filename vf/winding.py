@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vf.pdtree import STACK, Tree
+from vf.pdtree import STACK, Tree, triangles_of
 from vf.planes import FloatArray
 
 # A node acts through its moments beyond this many of its radii; measured errors stay below 0.01.
@@ -36,7 +36,7 @@ class Moments(NamedTuple):
 def moments(tree: Tree, counts: NDArray[np.bool_]) -> Moments:
     """Moments over the triangles for which `counts` (m,), in the caller's order, holds."""
     weights = counts[tree.order].astype(np.float64)
-    nodes = np.zeros((len(tree.boxes), 13))
+    nodes = np.zeros((len(tree.nodes), 13))
     _moments(tree, weights, nodes)
     # As all arrays of a surface: a kernel that met both kinds would be compiled for each.
     nodes.flags.writeable = weights.flags.writeable = False
@@ -48,7 +48,8 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
     area = np.zeros(nodes.shape[0])
     # Children come after their parents, so a walk from the end finds them done.
     for node in range(nodes.shape[0] - 1, -1, -1):
-        child = tree.links[node, 0]
+        link = tree.nodes[node, 15]
+        child = int(link) if link > 0.0 else -1
         if child >= 0:
             for side in range(2):
                 for k in range(3):
@@ -56,8 +57,8 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
                     nodes[node, 3 + k] += area[child + side] * nodes[child + side, 3 + k]
                 area[node] += area[child + side]
         else:
-            first = tree.links[node, 1]
-            for t in range(first, first + tree.links[node, 2]):
+            first, last = triangles_of(link)
+            for t in range(first, last):
                 c = tree.corners[t]
                 ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
                 vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
@@ -71,7 +72,7 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
                 for k in range(3):
                     nodes[node, 3 + k] += a * (c[k] + c[3 + k] + c[6 + k]) / 3.0
                 area[node] += a
-        box = tree.boxes[node]
+        box = tree.nodes[node]
         spread = 0.0
         for k in range(3):
             if area[node] > 0.0:
@@ -93,8 +94,8 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
                     nodes[child + side, 5] - nodes[node, 5],
                 )
         else:
-            first = tree.links[node, 1]
-            for t in range(first, first + tree.links[node, 2]):
+            first, last = triangles_of(link)
+            for t in range(first, last):
                 c = tree.corners[t]
                 ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
                 vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
@@ -146,14 +147,15 @@ def winding_number(tree, dipoles, x, y, z):  # type: ignore[no-untyped-def]
                 d2 * np.sqrt(d2)
             )
             continue
-        child = tree.links[node, 0]
-        if child >= 0:
+        link = tree.nodes[node, 15]
+        if link > 0.0:
+            child = int(link)
             stack[depth] = child + 1
             stack[depth + 1] = child
             depth += 2
             continue
-        first = tree.links[node, 1]
-        for t in range(first, first + tree.links[node, 2]):
+        first, last = triangles_of(link)
+        for t in range(first, last):
             if dipoles.weights[t] == 0.0:
                 continue
             c = tree.corners[t]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from app.commands import verify
 from app.settings import OptionError
 from app.verification import campaign
 from meshes.damage import damage, kinds
+from vf.cover import Buffer
 
 ROOT = Path(__file__).parents[2]
 SMALL = ("cube", "gear", "thin-plate", "skull-coarse")
@@ -120,17 +120,16 @@ def test_the_papers_conditions_leak_on_damaged_meshes(kind):
 
 def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
-    honest = vf.certified_planes
+    honest = Buffer.fill
 
-    def weakened(surface, x, radius, standoff=0.0, tip_radius=0.0):
-        planes = honest(surface, x, radius, standoff, tip_radius)
+    def weakened(self, surface, x, radius, standoff, tip_radius):
+        m, reach = honest(self, surface, x, radius, standoff, tip_radius)
         back = standoff + 5e-5
-        return replace(
-            planes, offsets=planes.offsets - back, points=planes.points - back * planes.normals
-        )
+        self.offsets[:m] -= back
+        self.points[:m] -= back * self.normals[:m]
+        return m, reach
 
-    monkeypatch.setattr(vf.fixtures, "cover", weakened)
-    monkeypatch.setattr(vf, "certified_planes", weakened)
+    monkeypatch.setattr(Buffer, "fill", weakened)
     mesh = meshes.arrays("cube")
     driven = campaign.drive(
         robots.load("point"), mesh, rule="certified", radius=5e-4, steps=2000, seed=5

@@ -52,6 +52,24 @@ def _depth(links: np.ndarray) -> int:
     return int(depth.max())
 
 
+def _links(tree):
+    """(k, 3) first child (−1: leaf), first triangle, count; a node's triangles are its children's.
+
+    Children come after their parents, so a walk from the end finds them done.
+    """
+    links = np.empty((len(tree.nodes), 3), dtype=np.int64)
+    for node in range(len(links) - 1, -1, -1):
+        link = tree.nodes[node, 15]
+        assert link == int(link)
+        if link > 0:
+            assert node < link < len(links) - 1
+            a, b = links[int(link)], links[int(link) + 1]
+            links[node] = int(link), a[1], a[2] + b[2]
+        else:
+            links[node] = -1, *divmod(int(-link), 64)
+    return links
+
+
 def check_tree(surface: vf.Surface) -> None:
     """Every claim that `Tree` makes about its arrays."""
     tree = surface.tree
@@ -60,7 +78,8 @@ def check_tree(surface: vf.Surface) -> None:
     corners = surface.vertices[surface.faces]
     assert (tree.corners.reshape(-1, 3, 3) == corners[tree.order]).all()
 
-    child, first, count = tree.links.T
+    links = _links(tree)
+    child, first, count = links.T
     inner = child >= 0
     parents = np.flatnonzero(inner)
     assert (child[parents] > parents).all()
@@ -75,16 +94,16 @@ def check_tree(surface: vf.Surface) -> None:
     assert (covered == 1).all()
     # Each node but the root is the child of exactly one.
     children = np.concatenate([child[parents], child[parents] + 1])
-    assert (np.sort(children) == np.arange(1, len(tree.links))).all()
+    assert (np.sort(children) == np.arange(1, len(links))).all()
 
-    assert _depth(tree.links) + 2 <= pdtree.STACK
+    assert _depth(links) + 2 <= pdtree.STACK
 
-    R = tree.boxes[:, 6:].reshape(-1, 3, 3)
+    R = tree.nodes[:, 6:15].reshape(-1, 3, 3)
     assert np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
     scale = np.abs(surface.vertices).max()
-    for node in range(len(tree.links)):
+    for node in range(len(links)):
         own = tree.corners[first[node] : first[node] + count[node]].reshape(-1, 3)
-        box = tree.boxes[node]
+        box = tree.nodes[node]
         outside = np.abs((own - box[:3]) @ R[node].T) - box[3:6]
         assert outside.max() <= 1e-15 * scale + 1e-15, node
 

@@ -29,13 +29,13 @@ def pick(surface: vf.Surface, origin: ArrayLike, direction: ArrayLike) -> int:
     nodes = np.array([0])
     leaves = []
     while len(nodes):
-        nodes = nodes[_meets(tree.boxes[nodes], o, d)]
-        first = tree.links[nodes, 0].astype(np.int64)
-        leaves.append(nodes[first < 0])
-        inner = first[first >= 0]
+        nodes = nodes[_meets(tree.nodes[nodes], o, d)]
+        link = tree.nodes[nodes, 15].astype(np.int64)
+        leaves.append(-link[link <= 0])
+        inner = link[link > 0]
         nodes = np.concatenate([inner, inner + 1])
     at = np.concatenate(leaves)
-    rows = [np.arange(k, k + n) for k, n in tree.links[at, 1:]]
+    rows = [np.arange(code // 64, code // 64 + code % 64) for code in at]
     if not rows:
         return -1
     candidates = np.concatenate(rows)
@@ -66,7 +66,7 @@ def distances(corners: FloatArray, origin: FloatArray, direction: FloatArray) ->
 
 def _meets(boxes: FloatArray, o: FloatArray, d: FloatArray) -> NDArray[np.bool_]:
     """Whether the ray meets each box (k, 15) of the tree: slab by slab."""
-    axes = boxes[:, 6:].reshape(-1, 3, 3)
+    axes = boxes[:, 6:15].reshape(-1, 3, 3)
     start = axes @ o - np.einsum("kij,kj->ki", axes, boxes[:, :3])
     along = axes @ d
     half = boxes[:, 3:6] * (1.0 + 1e-9) + 1e-12

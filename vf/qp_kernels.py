@@ -1,0 +1,313 @@
+"""The kernels of `vf.qp`: reducing a problem to the rows that matter, and settling its active set.
+
+They work in one scratch array, cut up by `carve`: a call from Python pays for every array it names.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+WORDS = 4  # numbers a row takes in the scratch besides its n coefficients
+NONE = 3  # code of `Solver.INFEASIBLE`
+
+
+def scratch_size(n: int, rows: int) -> int:
+    """Length of the scratch for n joints and that many rows, the joints' bounds among them."""
+    return n * n + 3 * n + rows * (n + WORDS)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def carve(scratch, n):  # type: ignore[no-untyped-def]
+    """Parts: factor (n, n), best, x, dq (n,), rows (r, n), bounds, scales, y, origin (r,)."""
+    rows = (scratch.shape[0] - n * n - 3 * n) // (n + WORDS)
+    a = n * n
+    b = a + 3 * n
+    c = b + rows * n
+    return (
+        scratch[:a].reshape((n, n)),
+        scratch[a : a + n],
+        scratch[a + n : a + 2 * n],
+        scratch[a + 2 * n : b],
+        scratch[b:c].reshape((rows, n)),
+        scratch[c : c + rows],
+        scratch[c + rows : c + 2 * rows],
+        scratch[c + 2 * rows : c + 3 * rows],
+        scratch[c + 3 * rows : c + 4 * rows],
+    )
+
+
+@njit(cache=True, nogil=True)
+def reduce(  # type: ignore[no-untyped-def]
+    J, d, damping, G, b, lower, upper, pace, m,
+    factor, best, rows, bounds, scales, origin, dq,
+):  # fmt: skip
+    """Factor, unconstrained optimum and the rows that matter; 0 rows: `dq` is the answer, −1: none.
+
+    `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
+    """
+    k, n = J.shape
+    for i in range(n):
+        for j in range(i + 1):
+            h = damping if i == j else 0.0
+            for r in range(k):
+                h += J[r, i] * J[r, j]
+            for r in range(j):
+                h -= factor[i, r] * factor[j, r]
+            factor[i, j] = np.sqrt(h) if i == j else h / factor[j, j]
+    for i in range(n):
+        h = 0.0
+        for r in range(k):
+            h += J[r, i] * d[r]
+        for r in range(i):
+            h -= factor[i, r] * best[r]
+        best[i] = h / factor[i, i]
+    for i in range(n - 1, -1, -1):
+        h = best[i]
+        for r in range(i + 1, n):
+            h -= factor[r, i] * dq[r]
+        dq[i] = h / factor[i, i]
+    excess = 1.0
+    for j in range(n):
+        if abs(dq[j]) > excess * pace[j]:
+            excess = abs(dq[j]) / pace[j]
+    for j in range(n):
+        best[j] /= excess
+        dq[j] /= excess
+
+    free = True
+    highest = 0.0
+    for i in range(m):
+        value = 0.0
+        for j in range(n):
+            value += G[i, j] * dq[j]
+        free &= value >= b[i]
+        highest = max(highest, b[i])
+    for j in range(n):
+        free &= lower[j] <= dq[j] <= upper[j]
+    if free:
+        return 0
+
+    length = 0.0
+    for j in range(n):
+        best[j] *= 1e3
+        length += best[j] * best[j]
+    # Where a row asks for motion (b > 0) zero is infeasible; the ball is widened by a generous
+    # multiple of that motion instead of being placed exactly. What slips out, `verify` catches.
+    half = 0.5 * np.sqrt(length) + 8.0 * 1e3 * highest
+    count = 0
+    for i in range(m + 2 * n):
+        if i < m:
+            for j in range(n):
+                h = G[i, j]
+                for r in range(j):
+                    h -= factor[j, r] * rows[count, r]
+                rows[count, j] = h / factor[j, j]
+            bound = b[i]
+            origin[count] = i
+        else:
+            c = (i - m) % n
+            sign = 1.0 if i < m + n else -1.0
+            for j in range(n):
+                h = sign if j == c else 0.0
+                for r in range(j):
+                    h -= factor[j, r] * rows[count, r]
+                rows[count, j] = h / factor[j, j]
+            bound = lower[c] if sign > 0.0 else -upper[c]
+            origin[count] = -1 - (i - m)
+        norm = 0.0
+        middle = 0.0
+        for j in range(n):
+            norm += rows[count, j] * rows[count, j]
+            middle += rows[count, j] * best[j]
+        norm = np.sqrt(norm)
+        if norm < 1e-12:  # no joint moves the tip along this normal
+            if bound > 0.0:
+                return -1
+            continue
+        bound *= 1e3 / norm
+        if 0.5 * middle / norm - half > bound + 1e-9:
+            continue
+        for j in range(n):
+            rows[count, j] /= norm
+        bounds[count] = bound
+        scales[count] = norm
+        count += 1
+    if count == 0:
+        # Only rounding stood between the unconstrained optimum and its bounds.
+        for j in range(n):
+            dq[j] = min(max(dq[j], lower[j]), upper[j])
+    return count
+
+
+@njit(cache=True, nogil=True)
+def recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers):  # type: ignore[no-untyped-def]
+    """Joint step and multipliers in the caller's coordinates."""
+    n = x.shape[0]
+    for i in range(n - 1, -1, -1):
+        h = x[i] * 1e-3
+        for r in range(i + 1, n):
+            h -= factor[r, i] * dq[r]
+        dq[i] = h / factor[i, i]
+    for j in range(n):
+        dq[j] = min(max(dq[j], lower[j]), upper[j])
+    for i in range(count):
+        if origin[i] >= 0.0 and y[i] < 0.0:
+            multipliers[int(origin[i])] = -y[i] * 1e-3 / scales[i]
+
+
+@njit(cache=True, nogil=True)
+def mark_worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
+    """Mark the row that u* breaks most as the only active one (y < 0)."""
+    row = 0
+    worst = -np.inf
+    for i in range(count):
+        y[i] = 0.0
+        broken = bounds[i]
+        for j in range(best.shape[0]):
+            broken -= rows[i, j] * best[j]
+        if broken > worst:
+            worst = broken
+            row = i
+    y[row] = -1.0
+
+
+@njit(cache=True, nogil=True)
+def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped-def]
+    """Project u* on the active rows (y < 0), all at once, and take that if it is the optimum.
+
+    It is when it obeys every row and every multiplier has the right sign; then x and y are exact
+    and the answer is True. Otherwise up to `changes` times a row with a multiplier of the wrong
+    sign leaves the active ones, or else the most broken row joins them.
+    """
+    n = best.shape[0]
+    active = np.empty(n, dtype=np.int64)
+    gram = np.empty((n, n))
+    c = np.empty(n)
+    u = np.empty(n)
+    k = 0
+    for _ in range(n):  # the n largest multipliers, largest first
+        row = -1
+        for i in range(count):
+            if y[i] < -1e-9 and (row < 0 or y[i] < y[row]):
+                taken = False
+                for a in range(k):
+                    taken |= active[a] == i
+                if not taken:
+                    row = i
+        if row < 0:
+            break
+        active[k] = row
+        k += 1
+    for _ in range(changes + 1):
+        a = 0
+        while a < k:
+            h = bounds[active[a]]
+            for j in range(n):
+                h -= rows[active[a], j] * best[j]
+            c[a] = h
+            for b in range(a + 1):
+                h = 0.0
+                for j in range(n):
+                    h += rows[active[a], j] * rows[active[b], j]
+                for r in range(b):
+                    h -= gram[a, r] * gram[b, r]
+                gram[a, b] = h if a == b else h / gram[b, b]
+            if gram[a, a] < 1e-10:  # depends on those before it: they speak for it
+                k -= 1
+                for b in range(a, k):
+                    active[b] = active[b + 1]
+                continue
+            gram[a, a] = np.sqrt(gram[a, a])
+            for r in range(a):
+                c[a] -= gram[a, r] * c[r]
+            c[a] /= gram[a, a]
+            a += 1
+        wrong = -1
+        for a in range(k - 1, -1, -1):
+            for r in range(a + 1, k):
+                c[a] -= gram[r, a] * c[r]
+            c[a] /= gram[a, a]
+            if c[a] < 0.0 and (wrong < 0 or c[a] < c[wrong]):
+                wrong = a
+        if wrong >= 0:
+            k -= 1
+            for a in range(wrong, k):
+                active[a] = active[a + 1]
+            continue
+        for j in range(n):
+            u[j] = best[j]
+            for a in range(k):
+                u[j] += c[a] * rows[active[a], j]
+        row = -1
+        worst = 1e-9
+        for i in range(count):
+            broken = bounds[i]
+            for j in range(n):
+                broken -= rows[i, j] * u[j]
+            if broken > worst:
+                worst = broken
+                row = i
+        if row < 0:
+            x[:] = u
+            y[:count] = 0.0
+            for a in range(k):
+                y[active[a]] = -c[a]
+            return True
+        if k == n:
+            return False
+        active[k] = row
+        k += 1
+    return False
+
+
+@njit(cache=True, nogil=True)
+def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  # type: ignore[no-untyped-def]
+    """All that can be had without OSQP for the first m rows of G: solver and 0, or rows for OSQP.
+
+    The answer is `dq` of the scratch and `multipliers`, written from the start.
+    """
+    n = J.shape[1]
+    factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
+    multipliers[:m] = 0.0
+    dq[:] = 0.0
+    count = reduce(
+        J, d, damping, G, b, lower, upper, pace, m, factor, best, rows, bounds, scales, origin, dq
+    )
+    if count == 0:
+        return 0, 0
+    if count < 0:
+        dq[:] = 0.0
+        return NONE, 0
+    mark_worst(best, rows, bounds, count, y)
+    if settle(best, rows, bounds, count, 0, x, y):
+        recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
+        return 5, 0
+    dq[:] = 0.0
+    return 1, count
+
+
+@njit(cache=True, nogil=True)
+def finish(osqp_x, osqp_y, count, changes, lower, upper, scratch, multipliers):  # type: ignore[no-untyped-def]
+    """OSQP's answer made exact by its active set, and taken back to the joints; whether it is."""
+    n = osqp_x.shape[0]
+    factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
+    x[:] = osqp_x
+    y[:count] = osqp_y[:count]
+    exact = settle(best, rows, bounds, count, changes, x, y)
+    recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
+    return exact
+
+
+@njit(cache=True, nogil=True)
+def pack(scratch, count, values, low, linear):  # type: ignore[no-untyped-def]
+    """The problem as OSQP wants it: A by columns, lower bounds, linear term."""
+    n = linear.shape[0]
+    _factor, best, _x, _dq, rows, bounds, _scales, _y, _origin = carve(scratch, n)
+    size = low.shape[0]
+    for i in range(size):
+        low[i] = bounds[i] if i < count else -np.inf
+        for j in range(n):
+            values[j * size + i] = rows[i, j] if i < count else 0.0
+    for j in range(n):
+        linear[j] = -best[j]
