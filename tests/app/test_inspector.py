@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -170,6 +171,21 @@ def test_no_room_makes_an_empty_region():
     wall = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     planes = vf.Planes(wall, np.zeros(2), np.zeros((2, 3)), np.zeros(2, int), np.zeros(2, int), 1.0)
     assert len(allowed_region(planes, np.zeros(3)).faces) == 0
+
+
+def test_what_did_not_change_is_not_asked_again(pressed):
+    question = Question(pressed, region=True, comparison=False)
+    assert question.same(Question(replace(pressed), True, False))
+    assert not question.same(None)
+    assert not question.same(Question(pressed, False, False))
+    assert not question.same(Question(replace(pressed, x=pressed.x + 1e-6), True, False))
+    assert not question.same(Question(replace(pressed, step=replace(pressed.step)), True, False))
+    assert not question.same(Question(replace(pressed, rule="paper"), True, False))
+    inspector = Inspector()
+    first = inspector.answer(question)
+    again = inspector.answer(Question(replace(pressed, step=replace(pressed.step)), True, False))
+    assert again.explanation is first.explanation
+    assert again.region is first.region
 
 
 @pytest.mark.parametrize("name", ["skull-coarse", "gear"])

@@ -76,8 +76,8 @@ class NearDrawing:
         if self._surface is not explanation.surface or self._radius != explanation.radius:
             self._surface, self._radius = explanation.surface, explanation.radius
             self._shown, self._grid_shown = {}, b""
-        for state, node in self._meshes.items():
-            mine = np.sort(explanation.triangles[[s is state for s in found]])
+        for k, (state, node) in enumerate(self._meshes.items()):
+            mine = np.sort(explanation.triangles[found == k])
             if len(mine):
                 corners, sides = _lifted(explanation, mine, LIFT)
                 key = mine.tobytes() + sides.tobytes()

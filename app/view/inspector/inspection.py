@@ -69,6 +69,15 @@ class Question:
     region: bool
     comparison: bool
 
+    def same(self, other: Question | None) -> bool:
+        """Whether another one has the same answer."""
+        return (
+            other is not None
+            and self.subject.step is other.subject.step
+            and self.subject.same_place(other.subject)
+            and (self.region, self.comparison) == (other.region, other.comparison)
+        )
+
 
 @dataclass(frozen=True)
 class Inspection:

@@ -55,7 +55,9 @@ class InspectorTab:
         self._probe = Probe(stage.server.scene)
         self._on = False
         self._drawn: tuple[Inspection, int] | None = None
-        self._asked = 0.0
+        self._asked = 0.0  # when [s]
+        self._question: Question | None = None
+        self._step: vf.Step | None = None  # of the tick that is shown
         self._chosen: int | None = None  # None: whichever blocks, or is nearest
         self._region = False
         self._comparing = False
@@ -77,9 +79,10 @@ class InspectorTab:
             self._stop_exploring()
         self._surface = scene.surface
         self._near.hide()
-        self._drawn = None
+        self._drawn = self._step = None
 
     def frame(self, telemetry: Telemetry) -> None:
+        self._step = telemetry.step
         fixture = self._stage.fixture
         fixture.inspected = self._on
         fixture.withdrawn = self._on and self._exploring
@@ -90,11 +93,14 @@ class InspectorTab:
                 self._near.hide()
             return
         now = time.monotonic()
-        if now >= self._asked + ASK:
+        # However much the sphere holds, the thread takes a quarter of a core at most.
+        if now >= self._asked + max(ASK, 4.0 * self._worker.took):
             subject = self._subject(telemetry)
             if subject is not None:
-                self._asked = now
-                self._worker.ask(Question(subject, self._region, self._comparing))
+                question = Question(subject, self._region, self._comparing)
+                if not question.same(self._question):
+                    self._asked, self._question = now, question
+                    self._worker.ask(question)
         inspection = self._newest()
         if inspection is None:
             return
@@ -275,9 +281,8 @@ class InspectorTab:
             return
         if not on:
             self._stop_exploring()
-            step = self._stage.session.latest().step
-            if step is not None:
-                camera.move(client, camera.tool_view(step))
+            if self._step is not None:
+                camera.move(client, camera.tool_view(self._step))
             return
         self._start_exploring(client)
         self._begin_here(client)
@@ -314,7 +319,7 @@ class InspectorTab:
 
     def _begin_here(self, client: viser.ClientHandle) -> None:
         """Put the probe beside the tool, over the surface."""
-        scene, step = self._scene, self._stage.session.latest().step
+        scene, step = self._scene, self._step
         tip = scene.T_base_start if step is None else step.tip
         radius = 5e-3 if step is None else step.radius
         self._case, self._surface, self._chosen = None, scene.surface, None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.view import palette
 from app.view.fixture import LEANING
@@ -17,6 +18,19 @@ NEAREST = 8  # rows of the list of triangles
 _BOX = "margin:0 .75em .5em;font-size:12px;line-height:1.35"
 _SMALL = "color:#666;font-size:11px"
 
+STATES = tuple(palette.STATES)
+_BY_CONDITION = {
+    Verdict.FACE: palette.State.FACE,
+    Verdict.RIDGE: palette.State.RIDGE,
+    Verdict.SHARED: palette.State.RIDGE,
+    Verdict.VALLEY: palette.State.VALLEY,
+}
+_BY_VERDICT = np.array(
+    [
+        STATES.index(_BY_CONDITION.get(Verdict(v), palette.State.INACTIVE)) if v else -1
+        for v in range(max(Verdict) + 1)
+    ]
+)
 _EDGES = {
     Edge.RIDGE: "a ridge",
     Edge.VALLEY: "a valley",
@@ -237,24 +251,14 @@ def region(inspection: Inspection) -> str:
 
 def state_of(report: TriangleReport) -> palette.State:
     """Which colour a triangle has."""
-    return states(np.array([report.verdict]), np.array([report.cover]))[0]
+    return STATES[int(states(np.array([report.verdict]), np.array([report.cover]))[0])]
 
 
-def states(verdicts: np.ndarray, covers: np.ndarray) -> list[palette.State]:
-    """Colours of triangles by their verdicts and covers (k,)."""
-    by_condition = {
-        Verdict.FACE: palette.State.FACE,
-        Verdict.RIDGE: palette.State.RIDGE,
-        Verdict.SHARED: palette.State.RIDGE,
-        Verdict.VALLEY: palette.State.VALLEY,
-    }
-    return [
-        by_condition.get(
-            Verdict(verdict),
-            palette.State.CERTIFIED if cover == Cover.GAVE else palette.State.INACTIVE,
-        )
-        for verdict, cover in zip(verdicts, covers, strict=True)
-    ]
+def states(verdicts: NDArray[np.int8], covers: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Places in `STATES` of triangles with these verdicts and covers (k,)."""
+    found = _BY_VERDICT[verdicts]
+    only = (found == STATES.index(palette.State.INACTIVE)) & (covers == Cover.GAVE)
+    return np.where(only, STATES.index(palette.State.CERTIFIED), found).astype(np.int8)
 
 
 def _plane(inspection: Inspection, report: TriangleReport) -> str:
@@ -289,8 +293,8 @@ def _counts(inspection: Inspection) -> str:
     found = states(explanation.verdicts, explanation.covers)
     parts = [
         f"<span style='white-space:nowrap'><span style='color:{palette.css(look.color)}'>■</span> "
-        f"{html.escape(look.name)}: {found.count(state)}</span>"
-        for state, look in palette.STATES.items()
+        f"{html.escape(look.name)}: {(found == k).sum():,}</span>"
+        for k, look in enumerate(palette.STATES.values())
     ]
     return f"<div style='margin-top:4px;font-size:11px'>{' &nbsp;'.join(parts)}</div>"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -25,6 +26,8 @@ class Worker(Generic[Question, Answer]):
         self._question: Question | None = None
         self._running = False
         self._newest: Answer | None = None
+        self.took = 0.0
+        """How long the last answer took [s]."""
 
     def ask(self, question: Question) -> None:
         """Replace the waiting question, if there is one. Does not wait for answers."""
@@ -49,7 +52,9 @@ class Worker(Generic[Question, Answer]):
                     self._running = False
                     return
                 question, self._question = self._question, None
+            started = time.monotonic()
             try:
                 self._newest = self._answer(question)
             except Exception:
                 log.exception("%s: no answer", self._name)
+            self.took = time.monotonic() - started
