@@ -188,6 +188,20 @@ def test_what_did_not_change_is_not_asked_again(pressed):
     assert again.region is first.region
 
 
+def test_a_comparison_that_lags_behind_is_made_up_for(pressed, monkeypatch):
+    inspector = Inspector()
+    first = inspector.answer(Question(pressed, False, comparison=True))
+    assert first.settled
+    moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]))
+    late = inspector.answer(Question(moved, False, comparison=True))
+    assert not late.settled  # too soon after the first
+    assert late.trials is first.trials
+    monkeypatch.setattr("app.view.inspector.inspection.SLOW", 0.0)
+    caught_up = inspector.answer(Question(moved, False, comparison=True))
+    assert caught_up.settled
+    assert caught_up.trials is not first.trials
+
+
 @pytest.mark.parametrize("name", ["skull-coarse", "gear"])
 def test_a_ray_finds_the_first_triangle(name):
     surface = meshes.load(name)

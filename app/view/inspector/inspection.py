@@ -90,6 +90,7 @@ class Inspection:
         multipliers: (m,) how far each of the planes pushed the tip back in the tick [m].
         region: the allowed region, None: not asked for.
         trials: of every rule, None: not asked for.
+        settled: asking the same once more would change nothing.
     """
 
     subject: Subject
@@ -98,6 +99,7 @@ class Inspection:
     multipliers: FloatArray
     region: Region | None
     trials: tuple[Trial, ...] | None
+    settled: bool = True
 
     def leaning(self, triangle: int) -> tuple[float, float]:
         """How far the planes under a triangle pushed the tip back [m], and their share of all."""
@@ -120,6 +122,7 @@ class Inspector:
         self._comparison: tuple[Scene, Comparison] | None = None
         self._compared = 0.0  # when [s]
         self._last: Inspection | None = None
+        self._question: Question | None = None
 
     def answer(self, question: Question) -> Inspection:
         """Examine the subject."""
@@ -147,11 +150,16 @@ class Inspector:
             if last is not None and same and _equal(last.planes, planes):
                 region = last.region
             region = region or allowed_region(planes, subject.x)
-        trials = last.trials if last is not None and question.comparison else None
-        if question.comparison and (trials is None or time.monotonic() > self._compared + SLOW):
-            trials = self._compare(subject)
-            self._compared = time.monotonic()
-        self._last = Inspection(subject, explanation, planes, multipliers, region, trials)
+        trials, settled = None, True
+        if question.comparison:
+            trials = last.trials if last is not None else None
+            due = time.monotonic() > self._compared + SLOW
+            settled = last is not None and last.settled and question.same(self._question)
+            if trials is None or (due and not settled):
+                trials, settled = self._compare(subject), True
+                self._compared = time.monotonic()
+        self._question = question
+        self._last = Inspection(subject, explanation, planes, multipliers, region, trials, settled)
         return self._last
 
     def _compare(self, subject: Subject) -> tuple[Trial, ...]:

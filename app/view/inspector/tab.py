@@ -62,6 +62,7 @@ class InspectorTab:
         self._region = False
         self._comparing = False
         self._exploring = False
+        self._probing = False  # the probe is drawn; the view thread's own
         self._resume = False  # once the exploring is over
         self._case: figures.Case | None = None
         self._surface = self._scene.surface  # what the probe moves over
@@ -87,6 +88,9 @@ class InspectorTab:
         fixture.inspected = self._on
         fixture.withdrawn = self._on and self._exploring
         self._stage.proxy.withdrawn = fixture.withdrawn
+        if self._probing and not self._exploring:
+            self._probe.hide()
+        self._probing = self._exploring
         if not self._on:
             if self._drawn is not None:
                 self._drawn = None
@@ -98,7 +102,9 @@ class InspectorTab:
             subject = self._subject(telemetry)
             if subject is not None:
                 question = Question(subject, self._region, self._comparing)
-                if not question.same(self._question):
+                answer = self._worker.newest()
+                settled = answer is None or answer.settled
+                if not (settled and question.same(self._question)):
                     self._asked, self._question = now, question
                     self._worker.ask(question)
         inspection = self._newest()
@@ -337,7 +343,6 @@ class InspectorTab:
         self._exploring, self._case, self._chosen = False, None, None
         self._surface = self._scene.surface
         self._expect.content = ""
-        self._probe.hide()
         if self._resume:
             self._stage.hand.submit(self._stage.session.resume)
 
