@@ -101,7 +101,7 @@ class Visitor:
 
         ARTIFACTS.mkdir(exist_ok=True)
         path = ARTIFACTS / f"{name}.png"
-        self.tab.screenshot(path=path, scale="css")
+        self.tab.screenshot(path=path, scale="css", timeout=90_000)
         box = self.canvas_box()
         corners = (box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"])
         return np.asarray(Image.open(path).convert("RGB").crop(tuple(map(int, corners))))
