@@ -6,7 +6,11 @@ planes and the ball, and against the mesh itself by exact segment–triangle tes
 
 from __future__ import annotations
 
+import gc
+import tracemalloc
+
 import naive
+import numba.core.event
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -579,3 +583,38 @@ def test_warm_up_is_no_more_than_a_warm_up():
     goal = arm.tip(arm.neutral)
     goal.translation = goal.translation + np.array([1e-3, 0.0, -5e-3])
     assert warm.step(arm.neutral, goal).q.tobytes() == cold.step(arm.neutral, goal).q.tobytes()
+
+
+def test_nothing_compiles_after_warm_up_and_a_tick_leaves_nothing_behind():
+    """Under any rule and radius, free, in contact and with the proxy deep behind the surface."""
+    arm = robots.load("point")
+    tip = arm.tip(arm.neutral).translation
+    surface = plate(tip[2] - 1e-3)
+    runs = [
+        vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)])
+        for rule in vf.RULES
+        for radius in (5e-3, None)
+    ]
+    runs[0].warm_up()
+    goal = pose(tip - [1e-3, 2e-3, 5e-3])
+
+    def drive(ticks):
+        for controller in runs:
+            q = arm.neutral
+            for _ in range(ticks):
+                q = controller.step(q, goal).q
+
+    with numba.core.event.install_recorder("numba:compile") as compiled:
+        drive(30)
+    assert not compiled.buffer
+    gc.collect()
+    tracemalloc.start()
+    try:
+        drive(30)
+        before = tracemalloc.get_traced_memory()[0]
+        drive(300)
+        gc.collect()
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 20_000  # [byte], of 2,400 ticks
