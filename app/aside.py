@@ -159,7 +159,7 @@ def _ending(code: int) -> str:
 
 
 def _main() -> None:
-    os.nice(10 - os.nice(0))  # behind the session, whatever its priority
+    os.nice(max(-os.nice(0), 0))  # what the session has of priority is for the session
     # What libraries print must not get between the frames.
     stream = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=_PIPE)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
