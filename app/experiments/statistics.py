@@ -131,10 +131,12 @@ def _bootstrap(
 ) -> tuple[float, float]:
     if min(map(len, samples)) < RESAMPLED:
         return np.nan, np.nan
-    result = stats.bootstrap(
-        samples, statistic, confidence_level=LEVEL, n_resamples=2000, method="percentile",
-        rng=np.random.default_rng(seed), vectorized=True,
-    )  # fmt: skip
+    # A resample of one value over and over has no deviation.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result = stats.bootstrap(
+            samples, statistic, confidence_level=LEVEL, n_resamples=2000, method="percentile",
+            rng=np.random.default_rng(seed), vectorized=True,
+        )  # fmt: skip
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
 
 

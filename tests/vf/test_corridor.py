@@ -63,6 +63,33 @@ def test_what_the_planes_allow_is_never_farther_than_the_width(seed: int, radius
     assert aside(path, halfway).max() <= WIDTH
 
 
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_nothing_just_outside_is_allowed(seed: int) -> None:
+    """Points a few microns beyond the width, where a gap between the planes would show first."""
+    rng = np.random.default_rng(seed)
+    path = zigzag(seed)
+    corridor = vf.CorridorFixture(path, DOWN, WIDTH)
+    x = somewhere(path, rng, 0.9 * WIDTH)
+    if corridor.room(x) <= 0.0:
+        return
+    planes = corridor.planes(x, 5e-3, 0.0, 0.0, False)
+    marks = np.linspace(0.0, 1.0, 150)[:, None, None]
+    along = path[:-1] + marks * np.diff(path, axis=0)  # (150, k, 3)
+    angle = rng.uniform(0.0, 2 * np.pi, (8, *along.shape[:2]))
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    forward = np.diff(path[:, :2], axis=0)
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    square = np.stack([-forward[:, 1], forward[:, 0], np.zeros(len(forward))], axis=1)
+    ring[0], ring[1] = square, -square
+    points = (along + (WIDTH + 3e-6) * ring).reshape(-1, 3)
+    points[:, 2] = x[2]
+    near = np.linalg.norm(points - x, axis=1) <= planes.radius
+    beyond = points[near & (aside(path, points) > WIDTH + 1e-9)]
+    assert len(beyond) > 20
+    assert (beyond @ planes.normals.T < planes.offsets).any(axis=1).all()
+
+
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_a_ball_between_the_walls_stays_between_them(seed: int) -> None:
