@@ -122,11 +122,11 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             with Client(scheduler, timeout="10s") as client:
                 yield client
             return
-        # No dashboard: nothing listens that nobody asked for.
+        # For this machine alone, on free ports: another study may be running beside this one.
         with (
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True,
-                dashboard_address=None, host="127.0.0.1",
+                dashboard_address="127.0.0.1:0", host="127.0.0.1",
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip
