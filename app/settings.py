@@ -31,6 +31,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "force_gain": (0.0, 1000.0),  # [N/m]
     "rate": (10.0, 20_000.0),  # [Hz]
     "stale_after": (0.05, 10.0),  # [s]
+    "upload_limit": (1.0, 500.0),  # [MB]
 }
 
 LENGTHS = ("radius", "standoff", "tip_radius", "corridor")
@@ -241,6 +242,8 @@ class Options:
     """Simulated haptic stiffness [N/m]."""
     stale_after: float = 0.5
     """The tool holds when a drag goes silent for this long [s]."""
+    upload_limit: float = 200.0
+    """Largest mesh file that the page takes [MB]."""
 
     def __post_init__(self) -> None:
         for name, (low, high) in RANGES.items():

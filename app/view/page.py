@@ -27,6 +27,7 @@ from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
 from app.view.inspector import InspectorTab
 from app.view.keys import Keys
+from app.view.mesh_tab import MeshTab
 from app.view.panel import WHO, Panel, Readouts
 from app.view.proxy import Proxy
 from app.view.ruler import Rulers
@@ -44,7 +45,7 @@ READOUT = 0.25  # between two updates of the read-outs [s]
 PROMPT = 0.004
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (Signals, InspectorTab, CorridorControl)
+FEATURES: tuple[Maker, ...] = (Signals, InspectorTab, MeshTab, CorridorControl)
 
 
 class Page:

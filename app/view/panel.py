@@ -15,7 +15,7 @@ import meshes
 import robots
 import vf
 from app.session import Session
-from app.settings import RANGES
+from app.settings import MESH, RANGES
 from app.view import palette, readouts, style
 from app.view.hand import Hand, Tell
 from app.view.help import Help
@@ -64,6 +64,7 @@ class Panel:
         self._look = look
         self._building = threading.Lock()
         self._note: str | None = None
+        self._files: dict[str, dict[str, Any]] = {}  # a file's name: how it was loaded
         self._autopilot_asked = 0.0  # monotonic time [s]
         self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
         self._banner = self._gui.add_html("", order=_BANNER_LINE)
@@ -100,6 +101,8 @@ class Panel:
         if self._building.locked():
             return
         scene = self._session.scene
+        if scene.mesh_name not in meshes.catalogue():
+            self._remember()
         if scene.mesh_name not in self._mesh.options:
             self._mesh.options = (*self._mesh.options, scene.mesh_name)
         _show(self._mesh, scene.mesh_name)
@@ -170,7 +173,8 @@ class Panel:
         @self._mesh.on_update
         def _mesh(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
-                self._change(event.client, mesh=str(event.target.value))
+                name = str(event.target.value)
+                self._change(event.client, **self._files.get(name, {"mesh": name}))
 
         @self._robot.on_update
         def _robot(event: viser.GuiEvent[Any]) -> None:
@@ -307,7 +311,12 @@ class Panel:
         elif self._session.options.radius is None:
             self._session.set_radius(_number(self._radius.value) * 1e-3)
 
-    def _change(self, client: viser.ClientHandle, **wanted: str) -> None:
+    def _remember(self) -> None:
+        """Keep how the present mesh file was loaded, to be able to come back to it."""
+        options = self._session.options
+        self._files[self._session.scene.mesh_name] = {name: getattr(options, name) for name in MESH}
+
+    def _change(self, client: viser.ClientHandle, **wanted: Any) -> None:
         """Another mesh or robot, in a thread of viser's pool; the page goes on meanwhile."""
         if not self._building.acquire(blocking=False):
             self._tell(client, "Another change is under way: wait until it is done.")

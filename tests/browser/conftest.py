@@ -61,10 +61,10 @@ def browser(chromium: str) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="package")
-def visit(browser: Any, page: Page) -> Callable[[], Visitor]:
-    """Opens another tab and waits until the page knows it and has sent everything."""
+def open_tab(browser: Any) -> Callable[[Page], Visitor]:
+    """Opens another tab on a page and waits until it knows the tab and has sent everything."""
 
-    def open_tab() -> Visitor:
+    def open_it(page: Page) -> Visitor:
         known = set(page.server.get_clients())
         # Low resolution: a software renderer has a sixth of the pixels to fill.
         tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
@@ -83,7 +83,13 @@ def visit(browser: Any, page: Page) -> Callable[[], Visitor]:
         settle(visitor, known)
         return visitor
 
-    return open_tab
+    return open_it
+
+
+@pytest.fixture(scope="package")
+def visit(page: Page, open_tab: Callable[[Page], Visitor]) -> Callable[[], Visitor]:
+    """Opens another tab on the page that most tests share."""
+    return lambda: open_tab(page)
 
 
 @pytest.fixture(scope="package")

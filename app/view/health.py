@@ -1,0 +1,208 @@
+"""Layer: what is wrong with the mesh, where it is; and the report in words."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+import vf
+from app.view import palette
+from app.view.palette import Rgb
+from app.view.units import to_buffer
+from meshes import Finding, Health
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MOST = 20_000  # faces, edges or vertices drawn of one finding, evenly chosen
+
+# Bright ones that bone has nothing of; the planes' colours are lighter and come in discs.
+DEFECT: Rgb = palette.VERMILION
+NOTE: Rgb = palette.YELLOW
+EDGES: dict[str, Rgb] = {"boundary loops": palette.BLUE, "non-manifold edges": palette.PURPLE}
+VERTICES: Rgb = palette.BLACK
+
+
+def color(finding: Finding) -> Rgb:
+    """The colour that a finding is drawn in and marked with in the list."""
+    if finding.of == "faces":
+        return DEFECT if finding.defect else NOTE
+    return EDGES.get(finding.kind, DEFECT) if finding.of == "edges" else VERTICES
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What to draw of a report, arm base frame [m].
+
+    Attributes:
+        defects, notes: (k, 3, 3) corners of faces.
+        edges: for each kind of `EDGES` the ends (k, 2, 3).
+        vertices: (k, 3).
+    """
+
+    defects: FloatArray
+    notes: FloatArray
+    edges: dict[str, FloatArray]
+    vertices: FloatArray
+
+
+def marks(report: Health, surface: vf.Surface) -> Marks:
+    """Where the findings are. Faces with defects are not marked a second time for a note."""
+    v, f = surface.vertices, surface.faces
+    faces: dict[bool, list[IntArray]] = {True: [], False: []}
+    edges = {kind: np.empty((0, 2, 3)) for kind in EDGES}
+    points: list[IntArray] = []
+    for finding in report.findings:
+        ids = _some(finding.ids)
+        if finding.of == "faces":
+            faces[finding.defect].append(ids)
+        elif finding.of == "edges":
+            edges[finding.kind] = v[ids]
+        else:
+            points.append(ids)
+    defects = _united(faces[True])
+    notes = np.setdiff1d(_united(faces[False]), defects)
+    return Marks(v[f[defects]], v[f[notes]], edges, v[_united(points)])
+
+
+class HealthDrawing:
+    """The marks on the mesh, each kind in its colour."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._faces = {
+            name: api.add_mesh_simple(
+                f"/health/{name}",
+                vertices=np.zeros((3, 3), dtype=np.float32),
+                faces=np.array([[0, 1, 2]], dtype=np.uint32),
+                color=rgb,
+                side="double",
+                flat_shading=True,
+                cast_shadow=False,
+                receive_shadow=False,
+                visible=False,
+            )
+            for name, rgb in (("defects", DEFECT), ("notes", NOTE))
+        }
+        self._edges = {
+            kind: api.add_line_segments(
+                f"/health/{kind.replace(' ', '_')}",
+                points=np.zeros((1, 2, 3), dtype=np.float32),
+                colors=rgb,
+                thickness=4.0,
+                thickness_units="screen",
+                visible=False,
+            )
+            for kind, rgb in EDGES.items()
+        }
+        self._points = api.add_point_cloud(
+            "/health/vertices",
+            points=np.zeros((1, 3), dtype=np.float32),
+            colors=VERTICES,
+            point_size=0.03,
+            visible=False,
+        )
+        self._marks: Marks | None = None
+        self._shown = True
+
+    def set(self, found: Marks | None, lift: float = 0.0) -> None:
+        """Draw these marks; None: nothing.
+
+        Args:
+            lift: faces are drawn so far from where they are, on both sides [m], clear of the mesh
+                as drawn.
+        """
+        self._marks = found
+        if found is not None:
+            for name, corners in (("defects", found.defects), ("notes", found.notes)):
+                if len(corners):
+                    lifted = _both_sides(corners, lift)
+                    node = self._faces[name]
+                    node.vertices = to_buffer(lifted.reshape(-1, 3))
+                    node.faces = np.arange(3 * len(lifted), dtype=np.uint32).reshape(-1, 3)
+            for kind, ends in found.edges.items():
+                if len(ends):
+                    self._edges[kind].points = to_buffer(ends)
+            if len(found.vertices):
+                self._points.points = to_buffer(found.vertices)
+        self._sync()
+
+    def show(self, on: bool) -> None:
+        """Layer switch."""
+        self._shown = on
+        self._sync()
+
+    def _sync(self) -> None:
+        found = self._marks if self._shown else None
+        self._faces["defects"].visible = found is not None and len(found.defects) > 0
+        self._faces["notes"].visible = found is not None and len(found.notes) > 0
+        for kind, node in self._edges.items():
+            node.visible = found is not None and len(found.edges[kind]) > 0
+        self._points.visible = found is not None and len(found.vertices) > 0
+
+
+def report(found: Health) -> str:
+    """HTML: what the mesh is, and each finding with what it means for which rule."""
+
+    def number(value: float | None, scale: float, unit: str) -> str:
+        return "–" if value is None else f"{value * scale:.4g} {unit}"
+
+    size = " × ".join(f"{1e3 * side:.3g}" for side in found.extents)
+    facts = (
+        ("triangles", f"{found.triangles:,}"),
+        ("size", f"{size} mm"),
+        ("pieces", f"{found.components:,}, genus {'–' if found.genus is None else found.genus}"),
+        ("watertight", "yes" if found.watertight else "no"),
+        ("wound alike", "yes" if found.consistent else "no"),
+        ("volume", number(found.volume, 1e6, "cm³")),
+        ("thinnest wall", number(found.wall, 1e3, "mm")),
+        ("examined", "all faces" if found.exact else f"{found.examined:,} faces"),
+    )
+    rows = "".join(
+        f"<tr><td style='color:#555;padding-right:1em'>{name}</td><td>{html.escape(text)}</td></tr>"
+        for name, text in facts
+    )
+    verdict = (
+        f"<b style='color:{palette.css(palette.GREEN)}'>Sound: no defects.</b>"
+        if found.sound
+        else f"<b style='color:{palette.css(palette.VERMILION)}'>It has defects:</b>"
+    )
+    findings = "".join(_item(finding) for finding in found.findings)
+    return (
+        "<div style='margin:0 .75em .5em;font-size:12px;line-height:1.35;color:#222'>"
+        f"<table style='border-collapse:collapse;margin-bottom:4px'>{rows}</table>"
+        f"{verdict}{findings}</div>"
+    )
+
+
+def _item(finding: Finding) -> str:
+    more = f", {MOST:,} of them drawn" if len(finding.ids) > MOST else ""
+    return (
+        "<div style='display:flex;gap:7px;margin-top:5px'>"
+        "<span style='flex:none;width:11px;height:11px;margin-top:3px;border-radius:2px;"
+        f"border:1px solid #888;background:{palette.css(color(finding))}'></span>"
+        f"<span>{html.escape(finding.text + more)}<br><span style='color:#666;font-size:11px'>"
+        f"{html.escape(finding.meaning)}</span></span></div>"
+    )
+
+
+def _some(ids: IntArray) -> IntArray:
+    if len(ids) <= MOST:
+        return ids
+    return ids[np.linspace(0, len(ids) - 1, MOST).astype(np.int64)]
+
+
+def _united(ids: list[IntArray]) -> IntArray:
+    return np.unique(np.concatenate(ids)) if ids else np.empty(0, dtype=np.int64)
+
+
+def _both_sides(corners: FloatArray, lift: float) -> FloatArray:
+    """Faces (k, 3, 3) moved along their normals and against them: (2k, 3, 3)."""
+    a, b, c = corners.transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = (lift * normals / np.maximum(lengths, 1e-30))[:, None, :]
+    return np.concatenate([corners + offsets, corners - offsets])

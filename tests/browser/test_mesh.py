@@ -1,0 +1,186 @@
+"""Bringing one's own mesh: what a user does on the page's tab about the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from watching import Visitor, wait_until
+
+import meshes
+from app.session import Session
+from app.settings import Options
+from app.view import Page, health
+from app.view.uploads import harmless
+
+
+@pytest.fixture(scope="module")
+def session(chromium: str) -> Iterator[Session]:
+    # One of its own: the limit on uploads is part of what is tested.
+    options = Options(mesh="skull-coarse", robot="point", rate=500.0, upload_limit=1.0)
+    with Session(options) as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def page(session: Session) -> Iterator[Page]:
+    page = Page(session, "127.0.0.1", 0)
+    yield page
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def visitor(page: Page, open_tab: Callable[[Page], Visitor]) -> Visitor:
+    visitor = open_tab(page)
+    visitor.tab.get_by_role("tab", name="Mesh", exact=True).click()
+    return visitor
+
+
+@pytest.fixture(autouse=True)
+def _nothing_under_way(visitor: Visitor) -> Iterator[None]:
+    yield
+    wait_until(lambda: says(visitor, "Examine").is_enabled(), "the page to be done")
+
+
+def says(visitor: Visitor, button: str):  # a playwright Locator
+    return visitor.tab.get_by_role("button", name=button, exact=True)
+
+
+def send(visitor: Visitor, path: Path) -> None:
+    """Choose a file in the dialog that the upload button opens."""
+    with visitor.tab.expect_file_chooser() as chooser:
+        visitor.press("Bring your own mesh")
+    chooser.value.set_files(path)
+
+
+def damaged_torus(path: Path) -> tuple[int, int]:
+    """A torus in mm, some faces turned and some missing; how many of each."""
+    vertices, faces = meshes.arrays("torus")
+    faces = faces.copy()
+    rng = np.random.default_rng(5)
+    rows = rng.choice(len(faces), 60, replace=False)
+    turned, missing = rows[:40], rows[40:]
+    faces[turned] = faces[turned][:, ::-1]
+    keep = np.setdiff1d(np.arange(len(faces)), missing)
+    trimesh.Trimesh(vertices * 1e3, faces[keep], process=False).export(path)
+    return len(turned), len(missing)
+
+
+def share_of(picture: np.ndarray, rgb: tuple[int, int, int]) -> float:
+    """Share of pixels (h, w, 3) of a hue, whatever the light does to its brightness."""
+    # Below the place where notifications, which have coloured rims, come up.
+    pixels = picture[170:].reshape(-1, 3).astype(float)
+    own = np.array(rgb, dtype=float)
+    bright = np.linalg.norm(pixels, axis=1)
+    cosine = pixels @ own / np.maximum(bright * np.linalg.norm(own), 1.0)
+    return float(((cosine > 0.995) & (bright > 60.0)).mean())
+
+
+def test_a_scan_with_flipped_faces_and_holes_is_taken_examined_and_shown_where_it_is_bad(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    path = tmp_path / "my scan.ply"
+    turned, _ = damaged_torus(path)
+    assert share_of(visitor.picture("mesh-before-upload"), health.DEFECT) < 1e-4
+    send(visitor, path)
+    # It asks for the unit.
+    visitor.tab.get_by_text("PLY files do not say their unit").wait_for()
+    visitor.picture("mesh-unit-asked")
+    visitor.press("mm")
+    wait_until(lambda: session.scene.mesh_name == "my_scan.ply", "the mesh to be taken")
+    assert session.options.unit == "mm"
+    np.testing.assert_allclose(np.ptp(session.scene.surface.vertices, axis=0)[0], 0.08, atol=1e-3)
+    # It says what is wrong and what that means for which rule.
+    visitor.tab.get_by_text(f"{turned} faces are wound against their surroundings").wait_for()
+    visitor.tab.get_by_text("lets the tool through").wait_for()
+    visitor.tab.get_by_text("boundary loops").first.wait_for()
+
+    # It shows where, in colours of their own, and stops showing when told to.
+    def marked(rgb: tuple[int, int, int]) -> float:
+        return share_of(visitor.picture("mesh-problems"), rgb)
+
+    wait_until(lambda: marked(health.DEFECT) > 5e-4, "flipped faces to be marked")
+    assert marked(health.EDGES["boundary loops"]) > 2e-4
+    visitor.tab.get_by_label("Show problems").click()
+    wait_until(lambda: marked(health.DEFECT) < 1e-4, "the marks to go")
+    visitor.tab.get_by_label("Show problems").click()
+
+
+def test_repairing_turns_the_faces_back_and_says_what_is_left(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    turned = int((session.scene.surface.normals[:, 2] < 2.0).sum())
+    assert turned == len(session.scene.surface.faces)
+    assert meshes.health(session.scene.surface).count("flipped faces") == 40
+    visitor.press("Repair")
+    wait_until(lambda: session.options.repair, "the repair")
+    assert meshes.health(session.scene.surface).count("flipped faces") == 0
+    wait_until(
+        lambda: visitor.tab.get_by_text("faces are wound against").count() == 0,
+        "the report to be another",
+    )
+    visitor.tab.get_by_text("boundary loops").first.wait_for()
+    assert not says(visitor, "Repaired").is_enabled()
+    before = session.scene.surface.normals.copy()
+    visitor.press("Flip")
+    wait_until(lambda: session.options.flip, "the flip")
+    np.testing.assert_allclose(session.scene.surface.normals, -before, atol=1e-12)
+    wait_until(lambda: says(visitor, "Flip back").is_enabled(), "the page to offer the way back")
+    visitor.picture("mesh-repaired")
+
+
+def test_a_file_that_is_no_mesh_leaves_the_old_one_in_place(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    scene = session.scene
+    path = tmp_path / "holiday.stl"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(300))
+    send(visitor, path)
+    visitor.tab.get_by_text("STL files do not say their unit").wait_for()
+    visitor.press("guess")
+    visitor.tab.get_by_text("cut off or not STL").first.wait_for()
+    visitor.picture("mesh-refused")
+    assert session.scene is scene
+    assert visitor.tab.get_by_text("Nothing is changed").first.is_visible()
+    # The loop goes on as if nothing had been.
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 50, "the loop to tick")
+
+
+def test_a_file_beyond_the_limit_is_refused_before_it_is_kept(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    scene = session.scene
+    path = tmp_path / "huge.stl"
+    path.write_bytes(bytes(1_300_000))
+    send(visitor, path)
+    visitor.tab.get_by_text("1 MB are more than the 1 MB allowed").first.wait_for()
+    assert visitor.tab.get_by_text("In which unit").count() == 0
+    assert session.scene is scene
+    # The button serves again.
+    small = tmp_path / "small.obj"
+    trimesh.creation.box((2.0, 2.0, 1.0)).export(small)
+    send(visitor, small)
+    visitor.tab.get_by_text("OBJ files do not say their unit").wait_for()
+    visitor.press("cm")
+    wait_until(lambda: session.scene.mesh_name == "small.obj", "the box to be taken")
+    visitor.tab.get_by_text("Sound: no defects.").wait_for()
+    assert visitor.complaints == []
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ("../../etc/passwd.stl", "passwd.stl"),
+        ("C:\\Users\\me\\scan.ply", "scan.ply"),
+        ("..", "mesh"),
+        ("", "mesh"),
+        ("a\0b<c>.stl", "a_b_c_.stl"),
+        ("x" * 500 + ".stl", "x" * 76 + ".stl"),
+    ],
+)
+def test_names_that_lead_elsewhere_become_names(given: str, kept: str) -> None:
+    assert harmless(given) == kept
