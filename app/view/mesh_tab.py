@@ -109,16 +109,17 @@ class MeshTab:
                     if said
                     else f"{kind.upper()} files do not say their unit."
                 )
-                + "</div>"
+                + " Choose the side first if another than z is to face the tool.</div>"
+            )
+            # First: a dropdown that is opened with the focus would hide what is below it.
+            units = client.gui.add_button_group(
+                "Unit", ("as the file says" if said else GUESS, *meshes.UNITS)
             )
             up = client.gui.add_dropdown(
                 "Side facing the tool",
                 meshes.UPS,
                 initial_value=meshes.UPS[0],
                 hint="The mesh's own axis that is turned upwards.",
-            )
-            units = client.gui.add_button_group(
-                "Unit", ("as the file says" if said else GUESS, *meshes.UNITS)
             )
             cancel = client.gui.add_button("Cancel")
 
