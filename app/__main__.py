@@ -71,15 +71,16 @@ def serve(options: Options) -> int:
 
                 page = Page(session, options.host, options.port)
                 try:
-                    if options.port not in (0, page.port):
-                        return _complain(f"port {options.port} was taken meanwhile")
                     step.done()
                     for note in session.scene.notes:
                         console.print(f"  [yellow]![/] {escape(note)}")
                     console.print(
                         f"Ready after {time.perf_counter() - began:.1f} s. "
-                        f"Open [bold]{page.url}[/] (Ctrl-C ends)"
+                        f"Open [bold]{escape(page.url)}[/] (Ctrl-C ends)",
+                        soft_wrap=True,
                     )
+                    if page.warning:
+                        console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
                     return _wait(console)
                 finally:
                     page.close()

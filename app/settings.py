@@ -225,7 +225,8 @@ class Options:
     rate: float = 1000.0
     """Ticks of the control loop per second."""
     host: str = "127.0.0.1"
-    """Address the page listens on. Anyone who reaches it can move the simulated tool."""
+    """Address the page listens on. One that other machines reach, such as 0.0.0.0, asks for the
+    token that is printed: whoever has it can move the simulated tool and upload meshes."""
     port: int = 8080
     """Port of the page; 0 takes any free one."""
     standoff: Length = 20e-6

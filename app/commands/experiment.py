@@ -272,8 +272,11 @@ def _replay(options: Replay, console: Console) -> int:
             console.print(
                 f"{escape(trial.key)}: {recorded.outcome.duration:.0f} s. "
                 f"Open [bold]{page.url}[/] (Ctrl-C ends); reset and switch the autopilot on to "
-                "see it again"
+                "see it again",
+                soft_wrap=True,
             )
+            if page.warning:
+                console.print(escape(page.warning), soft_wrap=True)
             threading.Event().wait()
         except KeyboardInterrupt:
             console.print("Closing.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.messages import Telemetry
 from app.session import Session
-from app.view import camera, readouts, who
+from app.view import camera, guard, readouts, who
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
 from app.view.corridor import CorridorControl
@@ -60,13 +61,18 @@ class Page:
         """Start serving at once.
 
         Args:
-            port: taken as given; 0 takes a free one. The caller has made sure that host and port
-                can be bound: viser hangs on a host that cannot, and moves on from a taken port.
+            host: only those who show the token in `url` are let in, unless it is a loopback one.
+            port: taken as given; 0 takes a free one. The caller has made sure that the host can
+                be bound: viser hangs on one that cannot.
+
+        Raises:
+            OSError: the port is taken.
         """
         self._session = session
         self._host = host
+        self._token = guard.token_for(host)
         with _quiet_console():
-            self._server = viser.ViserServer(host, port, label="vf-sandbox", verbose=False)
+            self._server = guard.serve(host, port, self._token, label="vf-sandbox", verbose=False)
         server, api = self._server, self._server.scene
         server.gui.configure_theme(
             control_width="medium",
@@ -126,7 +132,24 @@ class Page:
     def url(self) -> str:
         """Where to point a browser."""
         host = "127.0.0.1" if self._host in ("0.0.0.0", "::", "") else self._host
-        return f"http://[{host}]:{self.port}" if ":" in host else f"http://{host}:{self.port}"
+        return self._address(host)
+
+    @property
+    def warning(self) -> str:
+        """What it means that others can reach the page, for whoever started it; or nothing."""
+        if self._token is None:
+            return ""
+        return (
+            f"The page listens on {self._host}: anybody with the address above, token included, "
+            "can move the simulated tool, change its settings and upload meshes, unencrypted. "
+            "Without the token nobody is let in. "
+            f"From other machines: {self._address(socket.gethostname())}"
+        )
+
+    def _address(self, host: str) -> str:
+        name = f"[{host}]" if ":" in host else host
+        shown = "" if self._token is None else f"/?token={self._token}"
+        return f"http://{name}:{self.port}{shown}"
 
     @property
     def server(self) -> viser.ViserServer:
