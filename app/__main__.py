@@ -65,7 +65,9 @@ def serve(options: Options) -> int:
 
             prefer_this_process()
 
-            with Session(options, progress=step) as session:
+            session = Session(options, progress=step)
+            tape = None if options.record is None else session.record(options.record)
+            with session:
                 step("opening the page")
                 from app.view.page import Page
 
@@ -84,6 +86,9 @@ def serve(options: Options) -> int:
                     return _wait(console)
                 finally:
                     page.close()
+                    if tape is not None:
+                        tape.finish()
+                        console.print(escape(tape.outcome))
     except (ValueError, OSError) as error:
         # Reasons a user can act upon: names, meshes, a port taken since it was tried.
         return _complain(str(error))

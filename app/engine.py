@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import vf
 from app.autopilot import Script
 from app.messages import Command, LoopStats, Telemetry
+from app.settings import Options
 from robots import Arm
 
 log = logging.getLogger(__name__)
@@ -31,6 +32,8 @@ class Plant:
         dt: length of a tick [s].
         stale_after: a held drag without a newer command for this long holds the tool [s].
         autopilot: the scripted proxy of this scene.
+        options: the settings it was made with.
+        scene_options: the settings its scene was built with, which may be older.
     """
 
     arm: Arm
@@ -42,6 +45,8 @@ class Plant:
     dt: float
     stale_after: float
     autopilot: Script
+    options: Options
+    scene_options: Options
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,8 @@ class Orders:
     """All that the session wants of the engine, as one value, so no half of it is ever seen.
 
     Single steps and resets are running totals: the engine compares them with what it has done,
-    and the latest value is all it needs to read.
+    and the latest value is all it needs to read. How the hand's motion becomes the command's
+    target (scale, lock_orientation) is not the engine's business: a record tells it.
     """
 
     plant: Plant
@@ -58,6 +64,33 @@ class Orders:
     steps: int = 0
     resets: int = 0
     autopilot: bool = False
+    scale: float = 1.0
+    lock_orientation: bool = False
+
+
+@dataclass(frozen=True)
+class State:
+    """What the engine carries from one tick to the next, besides the orders it saw last.
+
+    Attributes:
+        q: (n,) joints.
+        tick: number of the last tick.
+        steps: how many of the single steps ordered are done.
+        silent: ticks since the newest command arrived.
+        autopilot_since: tick at which the autopilot took over; None: it does not drive.
+        target: the proxy of the last tick.
+        stale: whether the last tick held for want of a newer command.
+        step: what the controller did last.
+    """
+
+    q: NDArray[np.float64]
+    tick: int
+    steps: int
+    silent: int
+    autopilot_since: int | None
+    target: pin.SE3 | None
+    stale: bool
+    step: vf.Step | None = None
 
 
 def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) -> bool:
@@ -70,7 +103,9 @@ def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) 
 class Engine:
     """The state between ticks: joints, tick count, and what was seen of the orders."""
 
-    def __init__(self, orders: Orders) -> None:
+    def __init__(self, orders: Orders, state: State | None = None) -> None:
+        """Start at the plant's start, or go on from a state whose last orders these were."""
+        self.seen = orders  # the newest that were looked at
         self._plant = orders.plant
         self._q = _frozen(orders.plant.q0)
         self._steps = orders.steps
@@ -84,12 +119,36 @@ class Engine:
         self._stale = False
         self._failed = False
         self.failures = 0  # ticks whose controller raised: held, and counted as HELD
+        if state is not None:
+            self._q = _frozen(state.q)
+            self._tick = state.tick
+            self._steps = state.steps
+            self._silent = state.silent
+            self._autopilot_since = state.autopilot_since
+            self._target = state.target
+            self._stale = state.stale
+            self._step = state.step
+
+    @property
+    def state(self) -> State:
+        """Where it stands now; only for the thread that ticks it."""
+        return State(
+            q=self._q,
+            tick=self._tick,
+            steps=self._steps,
+            silent=self._silent,
+            autopilot_since=self._autopilot_since,
+            target=self._target,
+            stale=self._stale,
+            step=self._step,
+        )
 
     def advance(self, orders: Orders, stats: LoopStats) -> tuple[Telemetry, bool]:
         """Do the next tick, or none while paused; returns what there is to see, and if it ticked.
 
         Never raises in use: a controller that does (it must not) leaves the tool where it was.
         """
+        self.seen = orders
         moved = self._adopt(orders)
         ticks = True
         if orders.paused:

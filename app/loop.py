@@ -17,6 +17,7 @@ import vf
 from app.engine import Engine, Orders
 from app.mailbox import Mailbox
 from app.messages import LoopStats, Telemetry
+from app.tape import Tape
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +53,7 @@ class ControlLoop:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control")
         self._clock = _Clock(dt)
+        self.tape: Tape | None = None  # hears of every tick; replaced by any thread
         telemetry.put(self._engine.look(first, self._clock.stats))
 
     @property
@@ -93,8 +95,13 @@ class ControlLoop:
                 started = now()
             orders = self._orders.get()
             assert orders is not None
+            tape = self.tape
+            if tape is not None and not tape.begun:
+                tape.begin(engine.seen, engine.state)
             telemetry, ticked = engine.advance(orders, clock.stats)
             self._telemetry.put(telemetry)
+            if tape is not None:
+                tape.take(orders, telemetry, ticked)
             ended = now()
             late = deadline + dt
             if ticked:

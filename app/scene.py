@@ -47,6 +47,7 @@ class Scene:
         start: (n,) joints the tool starts from and is reset to, its tip in free space.
         T_base_start: the tip at `start`.
         autopilot: the scripted tour over this mesh.
+        options: the settings it was built with.
     """
 
     version: int
@@ -63,6 +64,7 @@ class Scene:
     start: FloatArray
     T_base_start: pin.SE3
     autopilot: Script
+    options: Options
 
 
 def build(
@@ -130,6 +132,7 @@ def build(
         start=_read_only(start),
         T_base_start=T_base_start,
         autopilot=plan(surface, T_base_start),
+        options=options,
     )
 
 
@@ -215,6 +218,8 @@ def plant(scene: Scene, options: Options) -> Plant:
         dt=options.dt,
         stale_after=options.stale_after,
         autopilot=scene.autopilot,
+        options=options,
+        scene_options=scene.options,
     )
 
 

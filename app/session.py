@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -22,8 +23,10 @@ from app.engine import Orders
 from app.loop import ControlLoop
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
+from app.record import RecordingError
 from app.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, check_names, in_range
+from app.tape import Tape
 from app.teleop import Teleop, latch
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
@@ -67,10 +70,16 @@ class Session:
         plant = scenes.plant(self.scene, options)
         self._lock = threading.RLock()  # writers only; the loop and `latest` never take it
         self._changing = threading.Lock()
-        self._orders = Orders(plant, Command(None, 0, stamp=time.monotonic()))
+        self._orders = Orders(
+            plant,
+            Command(None, 0, stamp=time.monotonic()),
+            scale=options.scale,
+            lock_orientation=options.lock_orientation,
+        )
         self._inbox: Mailbox[Orders] = Mailbox(self._orders)
         self._outbox: Mailbox[Telemetry] = Mailbox()
         self._loop = ControlLoop(self._inbox, self._outbox, options.dt)
+        self._tape: Tape | None = None
         self._clutched = False
         self.handle = pin.SE3(self.scene.T_base_start)
         self._teleop = self._latched(self.handle)
@@ -92,8 +101,11 @@ class Session:
         self._loop.start()
 
     def close(self) -> None:
-        """Stop the control thread and wait for it. Safe to call twice."""
+        """Stop the control thread and wait for it; finish a recording. Safe to call twice."""
         self._loop.close()
+        self._loop.tape = None
+        if self._tape is not None:
+            self._tape.finish()
 
     def latest(self) -> Telemetry:
         """The newest tick. Never blocks."""
@@ -105,6 +117,41 @@ class Session:
     def clutched(self) -> bool:
         """Whether the clutch is pressed."""
         return self._clutched
+
+    @property
+    def tape(self) -> Tape | None:
+        """The recording under way or, if none is, the last one; None: there was none."""
+        return self._tape
+
+    def record(self, path: Path | str) -> Tape:
+        """Record every order and tick from the next tick on, until `stop_recording` or `close`.
+
+        Raises:
+            Refused: a recording is under way, or the file exists or cannot be written.
+        """
+        with self._lock:
+            if self._tape is not None and self._tape.running:
+                raise Refused("a recording is under way: stop it first")
+            try:
+                self._tape = Tape(path)
+            except (RecordingError, OSError) as error:
+                raise Refused(f"cannot record: {error}") from None
+            self._loop.tape = self._tape
+            return self._tape
+
+    def stop_recording(self) -> Tape:
+        """Finish the recording's file; waits until it is written.
+
+        Raises:
+            Refused: there is no recording.
+        """
+        with self._lock:
+            if self._tape is None or self._loop.tape is None:
+                raise Refused("nothing is being recorded")
+            self._loop.tape = None
+            tape = self._tape
+        tape.finish()
+        return tape
 
     # What the operator does
 
@@ -259,6 +306,7 @@ class Session:
             proxy = self._teleop.proxy(self.handle)
             self.options = replace(self.options, scale=scale)
             self._teleop = self._latched(proxy)
+            self._order(scale=scale)
             return scale
 
     def set_orientation_lock(self, on: bool) -> bool:
@@ -267,6 +315,7 @@ class Session:
             proxy = self._teleop.proxy(self.handle)
             self.options = replace(self.options, lock_orientation=bool(on))
             self._teleop = self._latched(proxy)
+            self._order(lock_orientation=bool(on))
             return bool(on)
 
     def set_tip_speed(self, speed: float) -> float:

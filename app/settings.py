@@ -245,6 +245,8 @@ class Options:
     """The tool holds when a drag goes silent for this long [s]."""
     upload_limit: float = 200.0
     """Largest mesh file that the page takes [MB]."""
+    record: str | None = None
+    """Record the session from its start to its end into this new file, see vf-sandbox replay."""
 
     def __post_init__(self) -> None:
         for name, (low, high) in RANGES.items():

@@ -77,4 +77,5 @@ def scene(recorded: Recorded) -> Scene:
         start=place.arm.inverse(place.T_base_start, start=place.arm.neutral),
         T_base_start=place.T_base_start,
         autopilot=Playback(place.T_base_start.rotation, recorded.run.goals, trial.rate),
+        options=options(trial),
     )

@@ -43,7 +43,9 @@ def seen(session: Session, sequence_of: int) -> bool:
 
 
 def rests_at(session: Session, point: np.ndarray, within: float = 1e-6) -> Callable[[], bool]:
-    return lambda: float(np.linalg.norm(tool(session) - point)) < within
+    return lambda: (
+        session.latest().step is not None and float(np.linalg.norm(tool(session) - point)) < within
+    )
 
 
 @pytest.mark.parametrize("robot", ["point", "psm"])
