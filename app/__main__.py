@@ -19,6 +19,8 @@ from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 import app.commands
+from app.presets import find
+from app.scenario import Scenario
 from app.settings import OptionError, Options, format_length, parse
 
 USAGE_ERROR = 2
@@ -30,6 +32,8 @@ Starts the control loop and a page for the browser, and prints the page's addres
 
 Try:  vf-sandbox --mesh gear --rule paper --radius 0.5mm
 
+Try:  vf-sandbox --scenario slide-into-the-orbit
+
 Try:  vf-sandbox --mesh scan.stl --unit mm --robot point --tip-radius 1mm"""
 
 
@@ -40,15 +44,19 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if words and not words[0].startswith("-"):
             return _command(words[0], words[1:])
-        return serve(parse(words, _about()))
+        return serve(*_wanted(words))
     except OptionError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
         return INTERRUPTED
 
 
-def serve(options: Options) -> int:
-    """Start session and page, and keep them until Ctrl-C; returns the exit code."""
+def serve(options: Options, scenario: Scenario | None = None) -> int:
+    """Start session and page, and keep them until Ctrl-C; returns the exit code.
+
+    Args:
+        scenario: what to begin with; the options have its settings in them.
+    """
     if problem := bind_problem(options.host, options.port):
         return _complain(problem)
     console = Console(highlight=False)
@@ -73,6 +81,10 @@ def serve(options: Options) -> int:
 
                 page = Page(session, options.host, options.port)
                 try:
+                    if scenario is not None:
+                        from app.course import begin
+
+                        begin(scenario, session)
                     step.done()
                     for note in session.scene.notes:
                         console.print(f"  [yellow]![/] {escape(note)}")
@@ -120,6 +132,22 @@ def bind_problem(host: str, port: int) -> str | None:
             "--host takes an address of this machine, such as 127.0.0.1 or 0.0.0.0"
         )
     return None
+
+
+def _wanted(words: list[str]) -> tuple[Options, Scenario | None]:
+    """What the words say, where they say nothing the scenario they name."""
+    about = _about()
+    options = parse(words, about)
+    if options.scenario is None:
+        return options, None
+    scenario = find(options.scenario)
+    options = parse(words, about, scenario.applied(Options()))
+    if options.mesh != scenario.options.mesh:
+        raise OptionError(
+            f"--mesh {options.mesh} with --scenario {options.scenario}: "
+            f"the scenario is made for the mesh {scenario.options.mesh}; leave one of the two out"
+        )
+    return options, scenario
 
 
 def _wait(console: Console) -> int:

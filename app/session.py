@@ -19,6 +19,7 @@ import robots
 import vf
 from app import aside
 from app import scene as scenes
+from app.autopilot import Script
 from app.engine import Orders
 from app.loop import ControlLoop
 from app.mailbox import Mailbox
@@ -260,6 +261,33 @@ class Session:
                 self._teleop = self._latched(self.handle)
             self._command(target, autopilot=False)
             return on
+
+    def put(self, proxy: pin.SE3) -> None:
+        """Put the proxy there, and the handle with it; ends the autopilot.
+
+        Raises:
+            Refused: not finite, not a rotation, or farther than `FARTHEST` from the base.
+        """
+        pose = checked_pose(proxy)
+        with self._lock:
+            self._clutched = False
+            self.handle = pose
+            self._teleop = self._latched(pose)
+            self._command(pose, autopilot=False)
+
+    def perform(self, script: Script) -> None:
+        """Put the tool to the scene's start and let this script drive the proxy from there.
+
+        It takes the place of the scene's own autopilot until the scene is changed.
+        """
+        with self._lock:
+            self.scene = replace(self.scene, autopilot=script)
+            plant = scenes.plant(self.scene, self.options)
+            self.handle = pin.SE3(self.scene.T_base_start)
+            self._teleop = self._latched(self.handle)
+            self._clutched = False
+            resets = self._orders.resets + 1
+            self._command(None, autopilot=True, plant=plant, resets=resets)
 
     # What the operator sets; every setter returns the value really taken
 

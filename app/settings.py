@@ -102,9 +102,9 @@ def format_point(value: tuple[float, float, float] | None) -> str:
 
 
 def parse_turn(text: str) -> tuple[float, float, float]:
-    """Three angles [rad] from degrees with commas between them, such as `0,0,90`."""
+    """Three angles [rad] with commas between them, in degrees such as `0,0,90`, or as `1.2rad`."""
     try:
-        x, y, z = (math.radians(float(word)) for word in text.split(","))
+        x, y, z = map(_angle, text.split(","))
     except ValueError:
         x = y = z = math.nan
     if not math.isfinite(x + y + z):
@@ -113,6 +113,11 @@ def parse_turn(text: str) -> tuple[float, float, float]:
             "such as 0,0,90"
         )
     return x, y, z
+
+
+def _angle(word: str) -> float:
+    radians = word.removesuffix("rad")
+    return math.radians(float(word)) if radians == word else float(radians)
 
 
 def format_turn(value: tuple[float, float, float]) -> str:
@@ -247,6 +252,9 @@ class Options:
     """Largest mesh file that the page takes [MB]."""
     record: str | None = None
     """Record the session from its start to its end into this new file, see vf-sandbox replay."""
+    scenario: str | None = None
+    """Start with a scenario, by its name (a wrong one lists them all) or from a JSON file. Other
+    options win over what it says, but for the mesh."""
 
     def __post_init__(self) -> None:
         for name, (low, high) in RANGES.items():
@@ -291,13 +299,22 @@ def check_names(options: Options) -> None:
             raise OptionError(f"unknown {kind} '{name}': choose one of {', '.join(known)}")
 
 
-def parse(arguments: list[str], description: str) -> Options:
+def parse(arguments: list[str], description: str, default: Options | None = None) -> Options:
     """Options of a session from command-line words, see `parse_as`."""
-    return parse_as(Options, "vf-sandbox", arguments, description)
+    return parse_as(Options, "vf-sandbox", arguments, description, default)
 
 
-def parse_as(kind: type[T], program: str, arguments: list[str], description: str) -> T:
+def parse_as(
+    kind: type[T],
+    program: str,
+    arguments: list[str],
+    description: str,
+    default: T | None = None,
+) -> T:
     """A settings dataclass from command-line words, by tyro (which prints `--help` and errors).
+
+    Args:
+        default: where the words say nothing; None: the dataclass's own defaults.
 
     Raises:
         OptionError: a value was not usable.
@@ -308,7 +325,11 @@ def parse_as(kind: type[T], program: str, arguments: list[str], description: str
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
-            return tyro.cli(kind, prog=program, description=description, args=arguments)
+            if default is None:
+                return tyro.cli(kind, prog=program, description=description, args=arguments)
+            return tyro.cli(
+                kind, prog=program, description=description, args=arguments, default=default
+            )
     except SystemExit as exit_:
         error = exit_.__context__
         while error is not None and not isinstance(error, OptionError):
