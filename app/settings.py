@@ -230,8 +230,8 @@ class Options:
     rate: float = 1000.0
     """Ticks of the control loop per second."""
     host: str = "127.0.0.1"
-    """Address the page listens on. One that other machines reach, such as 0.0.0.0, asks for the
-    token that is printed: whoever has it can move the simulated tool and upload meshes."""
+    """Address the page listens on. For one that other machines reach, such as 0.0.0.0, a token is
+    printed and asked for: whoever has it can move the simulated tool and upload meshes."""
     port: int = 8080
     """Port of the page; 0 takes any free one."""
     standoff: Length = 20e-6

@@ -19,6 +19,7 @@ import socket
 import threading
 import time
 import typing
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Union, get_args, get_origin
 from urllib.parse import parse_qs, urlsplit
@@ -50,8 +51,10 @@ FILES = (50e6, 10e6)  # parts of files are not dropped but taken later [byte/s],
 OPENINGS = (2.0, 40.0)  # connections of all clients together, each of which is sent the scene
 REQUESTS = (100.0, 500.0)
 CLIENTS = 32
-STALLED = 20.0  # a client that takes nothing for so long is disconnected [s]
-BACKLOG = 64 * 2**20  # or has so much waiting for it [byte]
+STALLED = 20.0  # a client that takes nothing for so long is disconnected [s],
+BEHIND = 300.0  # or takes less than there is for it for so long [s],
+BACKLOG = 256 * 2**20  # or has so much waiting for it: viser sends up to 128 MB at once [byte]
+COMPLAINTS = (0.2, 10.0)  # errors that go to the log
 
 INBOUND = (
     "GuiUpdateMessage", "GuiButtonHoldMessage", "GuiFormSubmitMessage", "GuiFormDirtyMessage",
@@ -114,6 +117,7 @@ def serve(host: str, port: int, token: str | None, **options: Any) -> viser.Vise
         if port not in (0, server.get_port()):
             raise OSError(f"port {port} on {host} was taken meanwhile: choose another with --port")
         _never_share(server)
+        server.get_event_loop().set_exception_handler(_complain_sometimes())
     except Exception:
         server.stop()
         raise
@@ -234,6 +238,8 @@ class Connection(ServerConnection):
         self._mistakes = Allowance(*MISTAKES)
         self._files = Allowance(*FILES)
         self._expelled = False
+        self._added = 0  # to what waits, since it was looked at [byte]
+        self._behind_since = 0.0
         self._watch: asyncio.TimerHandle | None = None
 
     async def recv(self, decode: bool | None = None) -> Any:
@@ -277,11 +283,18 @@ class Connection(ServerConnection):
         if self.transport.get_write_buffer_size() > BACKLOG:
             self.transport.abort()
 
+    def send_data(self) -> None:
+        """Hand over what is to be sent."""
+        before = self.transport.get_write_buffer_size()
+        super().send_data()
+        self._added += self.transport.get_write_buffer_size() - before
+
     def pause_writing(self) -> None:
         """The client takes less than there is for it: from here on, see that it takes some."""
         super().pause_writing()
         # websockets' own keepalive cannot: its ping waits for the client to read as well.
-        self._look_again(self.transport.get_write_buffer_size())
+        self._behind_since = self.loop.time()
+        self._look_again()
 
     def resume_writing(self) -> None:
         """The client keeps up again."""
@@ -293,7 +306,9 @@ class Connection(ServerConnection):
         self._stop_looking()
         super().connection_lost(exc)
 
-    def _look_again(self, waiting: int) -> None:
+    def _look_again(self) -> None:
+        self._added = 0
+        waiting = self.transport.get_write_buffer_size()
         self._watch = self.loop.call_later(STALLED, self._look, waiting)
 
     def _stop_looking(self) -> None:
@@ -302,12 +317,12 @@ class Connection(ServerConnection):
             self._watch = None
 
     def _look(self, before: int) -> None:
-        waiting = self.transport.get_write_buffer_size()
-        if waiting >= before or waiting > BACKLOG:
+        taken = before + self._added - self.transport.get_write_buffer_size()
+        if taken <= 0 or self.loop.time() - self._behind_since > BEHIND:
             log.warning("a client was disconnected: it does not read what it is sent")
             self.transport.abort()
         else:
-            self._look_again(waiting)
+            self._look_again()
 
 
 class Allowance:
@@ -435,8 +450,8 @@ def _check() -> None:
         *(
             (ServerConnection, name)
             for name in (
-                "recv", "close", "respond", "process_event", "data_received", "pause_writing",
-                "resume_writing", "connection_lost",
+                "recv", "close", "respond", "process_event", "data_received", "send_data",
+                "pause_writing", "resume_writing", "connection_lost",
             )
         ),
         (_infra.websockets.asyncio.server, "serve"),
@@ -480,6 +495,17 @@ def _is_address(name: str) -> bool:
 
 def _is_loopback(name: str) -> bool:
     return _is_address(name) and ipaddress.ip_address(name).is_loopback
+
+
+def _complain_sometimes() -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], None]:
+    """viser's handlers fail on values of the wrong type, as often as a client sends one."""
+    allowance = Allowance(*COMPLAINTS)
+
+    def complain(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        if allowance.take():
+            log.error("%s", context.get("message"), exc_info=context.get("exception"))
+
+    return complain
 
 
 @functools.cache

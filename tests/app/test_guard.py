@@ -398,6 +398,20 @@ def test_a_client_that_does_not_read_is_dropped(
     page.server.scene.add_point_cloud("/flood", points[:1], (0, 0, 0)).remove()
 
 
+def test_values_of_the_wrong_type_do_not_fill_the_log(
+    page: Page, caplog: pytest.LogCaptureFixture, wait_until: Callable[..., None]
+) -> None:
+    controls = page.server.gui._gui_input_handle_from_uuid.values()
+    control = next(c for c in controls if getattr(c, "label", None) == "Scale")
+    with joined(page) as socket:
+        for _ in range(100):
+            socket.send(packed(**{**UPDATE, "uuid": control._impl.uuid, "updates": {"value": "x"}}))
+        socket.send(packed(**CAMERA))
+        wait_until(lambda: page.server.get_clients())
+    wait_until(lambda: not page.server.get_clients())
+    assert 1 <= sum("never retrieved" in record.message for record in caplog.records) <= 12
+
+
 def test_clients_that_vanish_leave_nothing(page: Page, wait_until: Callable[..., None]) -> None:
     for _ in range(5):
         client = joined(page)
