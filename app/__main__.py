@@ -79,7 +79,7 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
                 step("opening the page")
                 from app.view.page import Page
 
-                page = Page(session, options.host, options.port)
+                page = Page(session, options.host, options.port, scenario)
                 try:
                     if scenario is not None:
                         from app.course import begin

@@ -54,15 +54,18 @@ _ORBIT = Scenario(
 )
 _PLATE = Scenario(
     "thin-plate-both-sides",
-    "A plate of 0.5 mm, far thinner than the motion sphere: the tool is held above it, goes round "
-    "its edge, and is held below it.",
-    Options(mesh="thin-plate", robot="point"),
+    "A plate of 0.5 mm, far thinner than the motion sphere: the tool is held on one side of it, "
+    "goes over its edge, and is held on the other side.",
+    # Standing, and seen along its edge, so that both sides are in sight.
+    Options(
+        mesh="thin-plate", robot="point", rotate=(0.0, math.radians(90.0), math.radians(-41.6))
+    ),
     (
-        _at(1.5, 42, 0, 6),
-        _at(2.5, 42, 0, -8),
-        _at(3.5, 60, 0, -8),
-        _at(4.5, 42, 0, -8),
-        _at(5.5, 42, 0, 8),
+        _at(1.5, -42, 0, 6),
+        _at(2.5, -42, 0, -8),
+        _at(3.5, -60, 0, -8),
+        _at(4.5, -42, 0, -8),
+        _at(5.5, -42, 0, 8),
     ),
 )
 _GEAR = Scenario(

@@ -9,6 +9,7 @@ from typing import Protocol
 import viser
 
 from app.messages import Telemetry
+from app.scenario import Scenario
 from app.scene import Scene
 from app.session import Session
 from app.view.fixture import FixtureDrawing
@@ -29,6 +30,8 @@ class Stage:
             through `server.gui` appear in the panel of controls on the right.
         fixture: the planes at the tool, which a part may ask to step back.
         proxy: the operator's gizmo, likewise.
+        look: moves one client's camera to a preset, by the name of its button.
+        scenario: what the page was started with, if anything.
     """
 
     server: viser.ViserServer
@@ -38,6 +41,8 @@ class Stage:
     left: viser.PanelHandle
     fixture: FixtureDrawing
     proxy: Proxy
+    look: Callable[[viser.ClientHandle, str], None]
+    scenario: Scenario | None = None
 
 
 class Feature(Protocol):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.messages import Telemetry
+from app.scenario import Scenario
 from app.session import Session
 from app.view import camera, guard, readouts, who
 from app.view.anatomy import Anatomy
@@ -32,6 +33,7 @@ from app.view.mesh_tab import MeshTab
 from app.view.panel import WHO, Panel, Readouts
 from app.view.proxy import Proxy
 from app.view.ruler import Rulers
+from app.view.scenarios import ScenarioChoice
 from app.view.signals import Signals
 from app.view.tool import Tool
 
@@ -46,7 +48,7 @@ READOUT = 0.25  # between two updates of the read-outs [s]
 PROMPT = 0.004
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (Signals, InspectorTab, MeshTab, CorridorControl)
+FEATURES: tuple[Maker, ...] = (ScenarioChoice, Signals, InspectorTab, MeshTab, CorridorControl)
 
 
 class Page:
@@ -57,13 +59,20 @@ class Page:
     what changed, and nothing while nobody watches. The control thread is never asked anything.
     """
 
-    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self,
+        session: Session,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        scenario: Scenario | None = None,
+    ) -> None:
         """Start serving at once.
 
         Args:
             host: only those who show the token in `url` are let in, unless it is a loopback one.
             port: taken as given; 0 takes a free one. The caller has made sure that the host can
                 be bound: viser hangs on one that cannot.
+            scenario: what the session begins with, to be told and seen as it wants.
 
         Raises:
             OSError: the port is taken.
@@ -106,6 +115,8 @@ class Page:
             self._readouts.panel,
             self._fixture,
             self._proxy,
+            self._look,
+            scenario,
         )
         self._features: list[Feature] = [make(stage) for make in FEATURES]
 

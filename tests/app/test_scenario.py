@@ -120,8 +120,8 @@ def test_the_thin_plate_is_guarded_from_both_sides(played: Played, oracle: type[
     assert oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
     goals = in_mesh(scene, np.array([t.target.translation for t in seen]))  # type: ignore[union-attr]
     height = in_mesh(scene, path)[:, 2]
-    pressed_down = np.flatnonzero((goals[:, 2] < -7e-3) & (goals[:, 0] < 0.0421))[0]
-    assert height[pressed_down] == pytest.approx(0.25e-3 + 20e-6, abs=2e-6)
+    pressed = np.flatnonzero((goals[:, 2] < -7e-3) & (goals[:, 0] > -0.0421))[0]
+    assert height[pressed] == pytest.approx(0.25e-3 + 20e-6, abs=2e-6)
     assert goals[-1, 2] > 7e-3
     assert height[-1] == pytest.approx(-0.25e-3 - 20e-6, abs=2e-6)
 

@@ -1,0 +1,137 @@
+"""Part of the page: scenarios to load, each with its sentence, and the present set-up to save."""
+
+from __future__ import annotations
+
+import html
+import threading
+from typing import Any
+
+import viser
+
+from app.course import present, stage
+from app.messages import Telemetry
+from app.presets import PRESETS
+from app.scenario import dumps
+from app.scene import Scene
+from app.settings import format_length
+from app.view import palette
+from app.view.feature import Stage
+
+ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
+FILE_NAME = "scenario.json"
+_STYLE = "margin:0 .75em .3em;font-size:12px;line-height:1.35"
+
+
+class ScenarioChoice:
+    """A list, a sentence, and two buttons.
+
+    Building a scene takes its time: in a thread of viser's pool, one at a time. The old scene stays
+    if that fails. A scenario's camera is for all who look, and for those who come later.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self._session, self._server = stage.session, stage.server
+        self._hand, self._tell, self._look = stage.hand, stage.tell, stage.look
+        self._busy = threading.Lock()
+        self._scenarios = dict(PRESETS)
+        begun = stage.scenario
+        if begun is not None:
+            self._scenarios[begun.name] = begun
+        # The scenario that was loaded last, and the version of its scene.
+        self._shown = None if begun is None else (begun, self._session.scene.version)
+        self._arriving = False  # its scene is going to be drawn for the first time
+        gui, names = stage.server.gui, tuple(self._scenarios)
+        with gui.add_folder("Scenario", order=ORDER):
+            self._choice = gui.add_dropdown(
+                "Show", names, initial_value=names[0] if begun is None else begun.name
+            )
+            self._sentence = gui.add_html("")
+            buttons = gui.add_button_group(
+                "Set-up",
+                ("Load", "Save"),
+                hint="Load begins the scenario above. Save downloads what is set now, as a small "
+                "file for --scenario.",
+            )
+        self._tell_about()
+
+        @self._choice.on_update
+        async def _chosen(_event: viser.GuiEvent[Any]) -> None:
+            if not self._busy.locked():
+                self._tell_about()
+
+        # A plain function: viser runs it in its pool, where building may take its time.
+        @buttons.on_click
+        def _clicked(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                order = {"Load": self._load, "Save": self._save}.get(str(event.target.value))
+                if order is not None:
+                    order(event.client)
+
+        @stage.server.on_client_connect
+        async def _came(client: viser.ClientHandle) -> None:
+            self._hand.submit(self._show_to, client)
+
+    def set_scene(self, scene: Scene) -> None:
+        """The scene speaks for itself."""
+
+    def frame(self, telemetry: Telemetry) -> None:
+        """A scenario's scene is drawn: look at it as the scenario says."""
+        if self._arriving and self._shown is not None and telemetry.scene == self._shown[1]:
+            self._arriving = False
+            for client in self._server.get_clients().values():
+                self._show_to(client)
+
+    def read_out(self, telemetry: Telemetry) -> None:
+        """Nothing is counted."""
+
+    def _show_to(self, client: viser.ClientHandle) -> None:
+        if self._shown is None or self._session.scene.version != self._shown[1]:
+            return
+        camera = self._shown[0].camera
+        if camera is not None:
+            self._look(client, camera.capitalize())
+
+    def _load(self, client: viser.ClientHandle) -> None:
+        scenario = self._scenarios.get(str(self._choice.value))
+        if scenario is None:
+            return
+        if not self._busy.acquire(blocking=False):
+            self._tell(client, "Another scenario is being loaded: wait until it is there.")
+            return
+        try:
+            stage(scenario, self._session, self._progress)
+            self._shown, self._arriving = (scenario, self._session.scene.version), True
+        except Exception as error:
+            # Whatever a reader of a mesh file may raise, the page and the old scene go on.
+            self._tell(client, f"Not loaded: {error}")
+        finally:
+            self._busy.release()
+            self._tell_about()
+
+    def _save(self, client: viser.ClientHandle) -> None:
+        options, mesh = self._session.options, self._session.scene.mesh_name
+        about = (
+            f"Saved from the page: {mesh}, {options.robot}, rule {options.rule}, "
+            f"motion sphere {format_length(options.radius)}."
+        )
+        try:
+            scenario = present(self._session, "my-set-up", about)
+            text = dumps(scenario)
+        except ValueError as error:
+            self._tell(client, f"Not saved: {error}")
+            return
+        client.send_file_download(FILE_NAME, text.encode(), save_immediately=True)
+        if mesh != options.mesh:
+            self._tell(client, f"Keep {FILE_NAME} beside {mesh}: it looks for the mesh there.")
+
+    def _tell_about(self) -> None:
+        chosen = self._scenarios.get(str(self._choice.value))  # clients may send anything
+        self._say("" if chosen is None else chosen.about, palette.BLACK)
+
+    def _progress(self, text: str) -> None:
+        self._say(f"⏳ {text} …", palette.BLUE)
+
+    def _say(self, text: str, color: palette.Rgb) -> None:
+        self._sentence.content = (
+            f"<div style='{_STYLE};color:{palette.css(color)}'>{html.escape(text)}</div>"
+        )

@@ -1,0 +1,112 @@
+"""Scenarios on the page: what a user does to see one, and to keep what is set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from watching import Visitor, drawn_share, wait_until
+
+import meshes
+from app.course import begin
+from app.presets import PRESETS
+from app.scenario import read
+from app.session import Session
+from app.settings import Options
+from app.view import Page
+from app.view.units import VIEW_SCALE
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def session(chromium: str) -> Iterator[Session]:
+    # As the command line does it.
+    options = PRESETS["thin-plate-both-sides"].applied(Options(rate=500.0))
+    with Session(options) as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def page(session: Session) -> Iterator[Page]:
+    scenario = PRESETS["thin-plate-both-sides"]
+    page = Page(session, "127.0.0.1", 0, scenario)
+    begin(scenario, session)
+    yield page
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def visitor(page: Page, open_tab: Callable[[Page], Visitor]) -> Visitor:
+    return open_tab(page)
+
+
+def reads(visitor: Visitor, name: str) -> None:
+    visitor.tab.get_by_text(PRESETS[name].about, exact=True).wait_for(timeout=30_000)
+
+
+def rests(session: Session) -> np.ndarray:
+    """Where the tool is once nothing moves any more, arm base frame."""
+
+    def still() -> bool:
+        telemetry = session.latest()
+        script = session.scene.autopilot
+        end = script.pose(1e6).translation
+        return telemetry.autopilot and np.array_equal(telemetry.target.translation, end)
+
+    wait_until(still, "the script to end")
+    visitor_ticks = session.latest().tick + 100
+    wait_until(lambda: session.latest().tick > visitor_ticks, "the tool to rest")
+    return np.array(session.latest().step.tip.translation)
+
+
+def test_sees_the_scenario_the_page_was_started_with(visitor: Visitor, session: Session) -> None:
+    reads(visitor, "thin-plate-both-sides")
+    p_tip = rests(session)
+    assert session.scene.surface.nearest(p_tip)[0] == pytest.approx(20e-6, abs=2e-6)
+    assert drawn_share(visitor.picture("scenario-started")) > 0.03
+
+
+def test_picks_a_scenario_reads_its_sentence_and_sees_it(
+    visitor: Visitor, session: Session
+) -> None:
+    visitor.choose("Show", "valley-of-the-gear")
+    reads(visitor, "valley-of-the-gear")
+    assert session.scene.mesh_name == "thin-plate"  # only looked at so far
+    visitor.press("Load")
+    wait_until(lambda: session.scene.mesh_name == "gear", "the gear")
+    wait_until(lambda: session.latest().autopilot, "the hand")
+    reads(visitor, "valley-of-the-gear")
+    p_tip = rests(session)
+    assert visitor.tab.get_by_role("combobox", name="Rule", exact=True).input_value() == "paper"
+    assert visitor.tab.get_by_role("combobox", name="Mesh", exact=True).input_value() == "gear"
+
+    # Its camera goes along with the tool.
+    def followed() -> bool:
+        return bool(np.abs(visitor.client.camera.look_at / VIEW_SCALE - p_tip).max() < 1e-3)
+
+    wait_until(followed, "the camera to look at the tool")
+    assert drawn_share(visitor.picture("scenario-gear")) > 0.2
+    assert visitor.complaints == []
+
+
+def test_saves_what_is_set_and_starts_with_it_again(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    session.set_radius(1.5e-3)
+    session.set_autopilot(False)
+    session.nudge([0.0, 0.0, 5e-3])
+    wait_until(lambda: session.latest().target is not None, "the proxy")
+    with visitor.tab.expect_download(timeout=60_000) as download:
+        visitor.press("Save")
+    assert download.value.suggested_filename == "scenario.json"
+    download.value.save_as(tmp_path / "scenario.json")
+    saved = read(tmp_path / "scenario.json")
+    assert (saved.options.mesh, saved.options.rule) == ("gear", "paper")
+    assert saved.options.radius == pytest.approx(1.5e-3)
+    assert len(saved.proxy) == 1
+    p = meshes.transformed(session.scene.T_base_mesh, [saved.proxy[0].at])[0]
+    np.testing.assert_allclose(p, session.handle.translation, atol=1e-9)
+    assert visitor.complaints == []
