@@ -66,6 +66,35 @@ class Autopilot:
         return pin.SE3(self.rotation, position)
 
 
+@dataclass(frozen=True)
+class Course:
+    """A script from waypoint to waypoint, minimum jerk between them, at rest in each; it ends.
+
+    Attributes:
+        rotation: (3, 3) of every pose, arm base frame.
+        times: (k,) of the waypoints, rising from 0 [s].
+        points: (k, 3) the waypoints, arm base frame [m].
+    """
+
+    rotation: FloatArray
+    times: FloatArray
+    points: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last waypoint [s]; the proxy stays there."""
+        return float(self.times[-1])
+
+    def pose(self, time: float) -> pin.SE3:
+        """The proxy a time ≥ 0 [s] after the start, arm base frame."""
+        k = int(np.searchsorted(self.times, time, side="right")) - 1
+        if k >= len(self.times) - 1:
+            return pin.SE3(self.rotation, self.points[-1])
+        u = (time - self.times[k]) / (self.times[k + 1] - self.times[k])
+        share = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
+        return pin.SE3(self.rotation, (1.0 - share) * self.points[k] + share * self.points[k + 1])
+
+
 def plan(surface: vf.Surface, T_base_tip: pin.SE3) -> Autopilot:
     """A tour over the upper side of a surface that starts and ends at the given tip pose.
 

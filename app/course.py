@@ -2,47 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 import meshes
+from app.autopilot import Course
 from app.scenario import SETTINGS, Scenario, Waypoint
 from app.scene import Progress, Scene
 from app.session import Session
-
-FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Course:
-    """A script from waypoint to waypoint, minimum jerk between them, at rest in each; it ends.
-
-    Attributes:
-        rotation: (3, 3) of every pose, arm base frame.
-        times: (k,) of the waypoints, rising from 0 [s].
-        points: (k, 3) the waypoints, arm base frame [m].
-    """
-
-    rotation: FloatArray
-    times: FloatArray
-    points: FloatArray
-
-    @property
-    def duration(self) -> float:
-        """From the first to the last waypoint [s]; the proxy stays there."""
-        return float(self.times[-1])
-
-    def pose(self, time: float) -> pin.SE3:
-        """The proxy a time ≥ 0 [s] after the start, arm base frame."""
-        k = int(np.searchsorted(self.times, time, side="right")) - 1
-        if k >= len(self.times) - 1:
-            return pin.SE3(self.rotation, self.points[-1])
-        u = (time - self.times[k]) / (self.times[k + 1] - self.times[k])
-        share = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
-        return pin.SE3(self.rotation, (1.0 - share) * self.points[k] + share * self.points[k + 1])
 
 
 def course(scenario: Scenario, scene: Scene) -> Course | None:

@@ -105,8 +105,8 @@ _HELD = replace(
 )
 _MILLION = Scenario(
     "million-triangles",
-    "A skull of 936,472 triangles, every one of them in force: the tool slides over it as over a "
-    "coarse one.",
+    "A skull of 936 thousand triangles, every one of them in force: the tool slides over it as "
+    "over a coarse one.",
     Options(mesh="skull-fine"),
     (_at(1.5, 25, -20, 68), _at(2.5, 22, -20, 54), _at(5.0, 22, 15, 54)),
 )

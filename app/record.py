@@ -4,8 +4,8 @@ The file is a zip archive, version 1, of
 
 - ``header.json``: format, version, package versions, the state the engine started from, the scenes
   (options at the time they were built, the mesh by name, size and SHA-256 of the placed surface,
-  start joints), the plants (scene and options, one for every change of a setting), the number of
-  orders and of rows in each chunk, and why the recording ended.
+  start joints), the plants (scene, options and a scenario's course, one for every change of a
+  setting), the number of orders and of rows in each chunk, and why the recording ended.
 - ``orders/<column>.npy``: what the session wanted, one row for every `Orders` the engine saw.
 - ``rows/<chunk>/<column>.npy``: one row for every tick, and one for every change of the orders
   while the loop was paused, as they happened. ``rows/…/order`` is the row of ``orders`` that
@@ -40,6 +40,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
+from app.autopilot import Course
 from app.engine import Orders, Plant, State
 from app.messages import Command, Telemetry
 from app.settings import OptionError, Options
@@ -51,6 +52,7 @@ CHUNK = 4096  # rows that are compressed together
 MAX_ROWS = 4_000_000  # over an hour at 1 kHz
 MAX_ORDERS = 1_000_000
 MAX_PLANTS = 20_000
+MAX_WAYPOINTS = 1000  # of a course
 MAX_HEADER = 64_000_000  # [byte]
 
 # The options that a tick, or the way to it, can depend on.
@@ -135,6 +137,7 @@ class Recording:
     Attributes:
         places: the scenes, in the order they were entered.
         plants: scene (index of `places`) and options of every plant.
+        courses: a scenario's script of every plant; None: the scene's own autopilot.
         state: the engine's, before the first row.
         orders: (k,) `ORDERS`; the first is what counted before the first row.
         rows: (n,) `ROWS`.
@@ -144,6 +147,7 @@ class Recording:
 
     places: tuple[Place, ...]
     plants: tuple[tuple[int, Options], ...]
+    courses: tuple[Course | None, ...]
     state: State
     orders: NDArray[Any]
     rows: NDArray[Any]
@@ -304,7 +308,20 @@ class Recorder:
                     "start": plant.q0.tolist(),
                 }
             )
-        self._plants.append({"place": len(self._places) - 1, "options": as_json(plant.options)})
+        script = plant.autopilot
+        self._plants.append(
+            {
+                "place": len(self._places) - 1,
+                "options": as_json(plant.options),
+                "course": None
+                if not isinstance(script, Course)
+                else {
+                    "rotation": script.rotation.tolist(),
+                    "times": script.times.tolist(),
+                    "points": script.points.tolist(),
+                },
+            }
+        )
         self._plant = plant
 
     def _flush(self) -> None:
@@ -439,6 +456,7 @@ class _Reader:
             )
         places = tuple(_place(entry) for entry in _items(header, "places", MAX_PLANTS))
         plants = tuple(_plant(entry, len(places)) for entry in _items(header, "plants", MAX_PLANTS))
+        courses = tuple(_course(entry.get("course")) for entry in header["plants"])
         if len({options.rate for _, options in plants}) != 1:
             raise RecordingError("the rate changes within the recording")
         chunks = [
@@ -460,6 +478,7 @@ class _Reader:
         recording = Recording(
             places=places,
             plants=plants,
+            courses=courses,
             state=_state(header.get("state"), len(places[plants[0][0]].start)),
             orders=orders,
             rows=rows,
@@ -618,6 +637,29 @@ def _plant(entry: object, places: int) -> tuple[int, Options]:
     if not isinstance(entry, dict):
         raise RecordingError("a plant in the header is not usable")
     return _whole(entry.get("place"), "the place of a plant", 0, places - 1), _options(entry)
+
+
+def _course(entry: object) -> Course | None:
+    if entry is None:
+        return None
+    if not isinstance(entry, dict):
+        raise RecordingError("a course in the header is not usable")
+    times = _numbers(entry.get("times"), "the times of a course", MAX_WAYPOINTS)
+    tables = []
+    for name, rows in (("rotation", 3), ("points", len(times))):
+        table = entry.get(name)
+        if not isinstance(table, list) or len(table) != rows:
+            raise RecordingError(f"the {name} of a course in the header is not {rows} rows")
+        found = [_numbers(row, f"the {name} of a course", 3) for row in table]
+        if any(len(row) != 3 for row in found):
+            raise RecordingError(f"the {name} of a course in the header is not of three columns")
+        tables.append(np.array(found))
+    rotation, points = tables
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
+        raise RecordingError("the rotation of a course in the header is none")
+    if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
+        raise RecordingError("the times of a course in the header do not rise from 0")
+    return Course(rotation, times, points)
 
 
 def _state(entry: object, joints: int) -> State:

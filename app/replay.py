@@ -104,7 +104,9 @@ def rerun(
                 where, options = recording.plants[index]
                 if where != place or scene is None:
                     place, scene = where, build(recording, where, where + 1, mesh, path, progress)
-                plant = scenes.plant(scene, options)
+                course = recording.courses[index]
+                room = scene if course is None else replace(scene, autopilot=course)
+                plant = scenes.plant(room, options)
             assert plant is not None
             orders = orders_of(noted, plant)
         if engine is None:

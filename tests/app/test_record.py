@@ -425,6 +425,30 @@ def hostile() -> Iterator[tuple[str, Callable[[dict[str, Any], dict[str, bytes]]
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["host"] = "0.0.0.0"
 
+    for name, value, line in (
+        ("times", [0.0, 0.0], "do not rise from 0"),
+        ("times", [1.0, 2.0], "do not rise from 0"),
+        ("times", "soon", "not 1 to 1000 finite numbers"),
+        ("points", [[0.0] * 3], "not 2 rows"),
+        ("points", [[0.0] * 2] * 2, "not of three columns"),
+        ("rotation", [[2.0, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation of a course"),
+        ("rotation", [[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation of a course"),
+    ):
+
+        @case(f"course: {name} {value}", line)
+        def _(
+            header: dict[str, Any],
+            members: dict[str, bytes],
+            name: str = name,
+            value: object = value,
+        ) -> None:
+            course = {
+                "times": [0.0, 1.0],
+                "points": [[0.0] * 3] * 2,
+                "rotation": np.eye(3).tolist(),
+            }
+            header["plants"][0]["course"] = {**course, name: value}
+
     @case("checksum", "not a SHA-256")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["places"][0]["checksum"] = 5
