@@ -33,6 +33,7 @@ from app.scene import Scene
 from app.session import Session
 from app.settings import RANGES, OptionError, Options
 
+DOCUMENT = Path(__file__).parents[2] / "docs" / "scenarios.md"
 Played = Callable[[str], tuple[Scene, list[Telemetry]]]
 
 
@@ -84,6 +85,7 @@ def test_every_preset_has_a_sentence_of_its_own() -> None:
     for name, scenario in PRESETS.items():
         assert name == scenario.name
         assert scenario.about.endswith(".")
+        assert f"| `{name}` | {scenario.about} |" in DOCUMENT.read_text()
 
 
 def test_the_push_on_the_skull_ends_at_the_standoff(played: Played, oracle: type[Any]) -> None:
@@ -179,6 +181,14 @@ def test_the_million_triangles_are_all_in_force(played: Played, oracle: type[Any
 
 
 # Files
+
+
+def test_the_documents_example_is_a_scenario(tmp_path: Path) -> None:
+    text = DOCUMENT.read_text().partition("```json\n")[2].partition("```")[0]
+    scenario = loads(text, tmp_path)
+    assert scenario.options.mesh == str(tmp_path / "bones" / "skull.stl")
+    assert len(scenario.proxy) == 2
+
 
 lengths = st.floats(1e-6, 1.0)
 numbers = st.floats(-0.9, 0.9)
