@@ -297,26 +297,37 @@ def within(tree, x, y, z, radius, triangles, points, features, distances):  # ty
 
 
 @njit(cache=True, nogil=True)
-def nearest(tree, x, y, z, limit):  # type: ignore[no-untyped-def]
-    """Nearest triangle within `limit`: squared distance (inf: none), row in tree order, point."""
+def nearest(nodes, corners, x, y, z, limit, guess):  # type: ignore[no-untyped-def]
+    """Nearest triangle within `limit`: squared distance, row in tree order (−1: none), point.
+
+    `guess` is a row to look at first, or −1: a tool that moves by micrometres stays near the same
+    triangle, and knowing its distance halves the walk. The answer does not depend on it: of several
+    triangles at the same distance the first row counts.
+    """
     stack = np.empty(STACK, dtype=np.int32)
     lower = np.empty(STACK)
     best = limit * limit if limit < 1e150 else np.inf
     row = -1
     bx = by = bz = 0.0
+    if 0 <= guess < corners.shape[0]:
+        px, py, pz, _feature, d2 = triangle_at(corners, guess, x, y, z)
+        if d2 <= best:
+            best = d2
+            row = guess
+            bx, by, bz = px, py, pz
     stack[0] = 0
-    lower[0] = box_distance2(tree.nodes, 0, x, y, z)
+    lower[0] = 0.0
     depth = 1
     while depth > 0:
         depth -= 1
         if lower[depth] > best:
             continue
         node = stack[depth]
-        link = tree.nodes[node, 15]
+        link = nodes[node, 15]
         if link > 0.0:
             child = int(link)
-            d0 = box_distance2(tree.nodes, child, x, y, z)
-            d1 = box_distance2(tree.nodes, child + 1, x, y, z)
+            d0 = box_distance2(nodes, child, x, y, z)
+            d1 = box_distance2(nodes, child + 1, x, y, z)
             near, far = child, child + 1
             if d1 < d0:
                 d0, d1 = d1, d0
@@ -332,29 +343,29 @@ def nearest(tree, x, y, z, limit):  # type: ignore[no-untyped-def]
             continue
         first, last = triangles_of(link)
         for t in range(first, last):
-            px, py, pz, _feature, d2 = triangle_at(tree.corners, t, x, y, z)
-            if d2 < best or (d2 == best and row < 0):
+            px, py, pz, _feature, d2 = triangle_at(corners, t, x, y, z)
+            if d2 < best or (d2 == best and (row < 0 or t < row)):
                 best = d2
                 row = t
                 bx, by, bz = px, py, pz
-    if row < 0:
-        best = np.inf
     return best, row, bx, by, bz
 
 
 @njit(cache=True, nogil=True)
-def nearest_face(nodes, corners, order, p, limit, point):  # type: ignore[no-untyped-def]
+def nearest_face(nodes, corners, order, p, limit, guess, point):  # type: ignore[no-untyped-def]
     """`nearest` for one call from Python: distance, the caller's index of the face, and the point.
 
-    The face is −1 where there is none within `limit`, −2 where p (3,) is not finite.
+    `guess` (1,) is read and then set to the row found. The face is −1 where there is none within
+    `limit`, −2 where p (3,) is not finite.
     """
     if not np.isfinite(p[0] + p[1] + p[2]):
         return np.inf, -2
     d2, row, point[0], point[1], point[2] = nearest(
-        Tree(nodes, corners, order), p[0], p[1], p[2], limit
+        nodes, corners, p[0], p[1], p[2], limit, guess[0]
     )
     if row < 0:
         return np.inf, -1
+    guess[0] = row
     return np.sqrt(d2), order[row]
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -92,6 +93,13 @@ class Surface:
             self.vertices, self.faces, self.normals, self.neighbours, self.edges, *self.tree
         ):  # fmt: skip
             array.flags.writeable = False
+        # Where `nearest` looks first. Threads may overwrite each other's: it makes an answer
+        # quicker, never another.
+        self._guess = np.full(1, -1, dtype=np.int64)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Arrays that come from another process may all be read-only, the guess too.
+        self.__dict__.update(state, _guess=np.full(1, -1, dtype=np.int64))
 
     @staticmethod
     def from_arrays(
@@ -165,7 +173,7 @@ class Surface:
         if p.shape != (3,):
             checked_point(x)
         point = np.empty(3)
-        distance, face = pdtree.nearest_face(*self.tree, p, limit, point)
+        distance, face = pdtree.nearest_face(*self.tree, p, limit, self._guess, point)
         if face < 0:
             return np.inf, -1, checked_point(x)
         return distance, face, point

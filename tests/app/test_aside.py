@@ -46,6 +46,7 @@ def test_a_scene_from_aside_is_the_one_built_here_and_compiles_nothing() -> None
         plant = scenes.plant(got, HEAVY)
         plant.controller.step(plant.q0, got.autopilot.pose(2.0))
         got.surface.inside(got.surface.vertices[0])
+        got.surface.nearest(got.surface.vertices[0])
     assert not compiled.buffer
 
 

@@ -144,6 +144,25 @@ def test_queries_equal_brute_force(name):
         assert on == pytest.approx(distance, rel=1e-9, abs=hair), case
 
 
+@pytest.mark.parametrize("name", list(SOUPS))
+def test_the_nearest_triangle_does_not_depend_on_what_was_asked_before(name):
+    vertices, faces = SOUPS[name]
+    surface = vf.Surface.from_arrays(vertices, faces)
+    rng = np.random.default_rng(5)
+    # Corners and midpoints of edges, where several triangles are equally near, among others.
+    ends = vertices[faces[rng.integers(len(faces), size=30)][:, :2]]
+    points = np.concatenate([ends[:, 0], ends.mean(axis=1), ends.mean(axis=1) + 0.1])
+    fresh = []
+    for x in points:
+        surface._guess[0] = -1
+        fresh.append(surface.nearest(x))
+    for k in rng.permutation(len(points)):
+        distance, triangle, point = surface.nearest(points[k])
+        assert (distance, triangle) == fresh[k][:2]
+        assert (point == fresh[k][2]).all()
+    assert surface.nearest(points[0] + 1.0, limit=1e-9)[1] == -1
+
+
 def test_the_ball_is_closed():
     """Dyadic coordinates: the distance is exact, and a triangle on the sphere counts."""
     surface = vf.Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
