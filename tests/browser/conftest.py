@@ -17,6 +17,13 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page
 
+# The page draws as often as the browser lets it, and a software renderer fills a core with that.
+# Ten pictures a second are enough to see what happens, and leave the core to the sandbox.
+FEWER_FRAMES = """
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
+window.cancelAnimationFrame = (timer) => clearTimeout(timer);
+"""
+
 # A software renderer makes the browser complain about performance; that says nothing about us.
 HARMLESS = (
     "GPU stall",
@@ -68,6 +75,7 @@ def open_tab(browser: Any) -> Callable[[Page], Visitor]:
         known = set(page.server.get_clients())
         # Low resolution: a software renderer has a sixth of the pixels to fill.
         tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
+        tab.add_init_script(FEWER_FRAMES)
         visitor = Visitor(tab, -1, page)
         tab.on(
             "console",
