@@ -15,6 +15,7 @@ from app.session import Session
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand, Tell
 from app.view.proxy import Proxy
+from app.view.screen import Screen
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Stage:
         fixture: the planes at the tool, which a part may ask to step back.
         proxy: the operator's gizmo, likewise.
         look: moves one client's camera to a preset, by the name of its button.
+        screen: what is shown; a part may put something else there than the session.
         scenario: what the page was started with, if anything.
     """
 
@@ -42,6 +44,7 @@ class Stage:
     fixture: FixtureDrawing
     proxy: Proxy
     look: Callable[[viser.ClientHandle, str], None]
+    screen: Screen
     scenario: Scenario | None = None
 
 

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.messages import Telemetry
+from app.player import Moment
 from app.scenario import Scenario
+from app.scene import Scene
 from app.session import Session
 from app.view import camera, guard, readouts, who
 from app.view.anatomy import Anatomy
@@ -32,8 +34,10 @@ from app.view.keys import Keys
 from app.view.mesh_tab import MeshTab
 from app.view.panel import WHO, Panel, Readouts
 from app.view.proxy import Proxy
+from app.view.recorder import RecordTab
 from app.view.ruler import Rulers
 from app.view.scenarios import ScenarioChoice
+from app.view.screen import Screen
 from app.view.signals import Signals
 from app.view.tool import Tool
 
@@ -48,7 +52,14 @@ READOUT = 0.25  # between two updates of the read-outs [s]
 PROMPT = 0.004
 
 # Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (ScenarioChoice, Signals, InspectorTab, MeshTab, CorridorControl)
+FEATURES: tuple[Maker, ...] = (
+    ScenarioChoice,
+    Signals,
+    InspectorTab,
+    MeshTab,
+    CorridorControl,
+    RecordTab,
+)
 
 
 class Page:
@@ -90,6 +101,7 @@ class Page:
             brand_color=(0, 114, 178),
         )
         _light(api)
+        self._screen = Screen(session)
         self._scene_version = -1
         self._anatomy = Anatomy(api)
         self._rulers = Rulers(api)
@@ -116,6 +128,7 @@ class Page:
             self._fixture,
             self._proxy,
             self._look,
+            self._screen,
             scenario,
         )
         self._features: list[Feature] = [make(stage) for make in FEATURES]
@@ -173,6 +186,11 @@ class Page:
         return np.array(self._proxy.gizmo.wxyz), np.array(self._proxy.gizmo.position)
 
     @property
+    def shown(self) -> Moment:
+        """What was drawn last: the session as it ran, or a replay."""
+        return self._shown
+
+    @property
     def dragging(self) -> bool:
         """Whether some client has the gizmo in its hand."""
         return self._hand.dragging
@@ -223,11 +241,12 @@ class Page:
 
     def _frame(self) -> None:
         """Bring the scene up to the newest tick."""
-        session, telemetry = self._session, self._session.latest()
-        scene, options = session.scene, session.options
+        live = self._screen.live
+        shown = self._shown = self._screen.now()
+        scene, options, telemetry = shown.scene, shown.options, shown.telemetry
         with self._server.atomic():
             if scene.version != self._scene_version:
-                self._adopt()
+                self._adopt(scene)
             self._hand.tend(telemetry.target, telemetry.autopilot)
             clients, owner = self._server.get_clients(), self._hand.owner
             self._who.update(owner)
@@ -243,7 +262,8 @@ class Page:
                 self._fixture.update(step, scene.surface)
             self._tool.update(tip.translation, options.tip_radius, force)
             holder = self._hand.name_of_owner if owner is not None and len(clients) > 1 else ""
-            self._proxy.update(self._handle(telemetry), telemetry.target, tip.translation, holder)
+            handle = self._handle(telemetry) if live else None
+            self._proxy.update(handle, telemetry.target, tip.translation, holder)
             self._following.update(clients, np.array(tip.translation))
             for feature in self._features:
                 feature.frame(telemetry)
@@ -254,9 +274,8 @@ class Page:
             return telemetry.target
         return self._session.handle
 
-    def _adopt(self) -> None:
+    def _adopt(self, scene: Scene) -> None:
         """Draw another scene, and look at it."""
-        scene = self._session.scene
         self._anatomy.set_scene(scene)
         self._rulers.set_scene(scene, camera.site_half_height(scene))
         self._arm.set_scene(scene)
@@ -271,14 +290,15 @@ class Page:
         self._scene_version = scene.version
 
     def _read_out(self) -> None:
-        session, telemetry = self._session, self._session.latest()
-        scene, step = session.scene, telemetry.step
+        shown = self._screen.now()
+        scene, options, telemetry = shown.scene, shown.options, shown.telemetry
+        step = telemetry.step
         joints = tuple(scene.arm.joints)
         in_sphere, speed, signed = 0, 0.0, None
         if step is not None and telemetry.scene == scene.version:
             p_tip = np.array(step.tip.translation)
             in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
-            if session.options.rule == "off":
+            if options.rule == "off":
                 signed = signed_distance(scene.surface, p_tip)
             before = self._before
             if before is not None and self._tip_before is not None:
@@ -292,17 +312,21 @@ class Page:
         self._count += 1
         silent = now - self._newest_since
         extras = readouts.Extras(in_sphere, speed, joints, silent, self._count, signed)
-        options, clutched = session.options, session.clutched
+        if self._screen.live:
+            banner = readouts.banner(telemetry, options, extras, self._session.clutched)
+        else:
+            banner = readouts.note(self._screen.caption)
         with self._server.atomic():
             self._readouts.show(readouts.readouts(telemetry, options, extras))
-            self._panel.set_banner(readouts.banner(telemetry, options, extras, clutched))
+            self._panel.set_banner(banner)
             self._panel.sync()
             for feature in self._features:
                 feature.read_out(telemetry)
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         """Move one client's camera to a preset; "Follow" also lets it go along, or stop that."""
-        scene, step = self._session.scene, self._session.latest().step
+        shown = self._shown
+        scene, step = shown.scene, shown.telemetry.step
         followed = client.client_id in self._following.clients
         self._following.stop(client.client_id)
         if name == "Follow" and followed:

@@ -80,30 +80,36 @@ class Proxy:
 
     def update(
         self,
-        handle: pin.SE3,
+        handle: pin.SE3 | None,
         target: pin.SE3 | None,
         p_tip: NDArray[np.float64],
         holder: str = "",
     ) -> None:
         """Handle pose as the session knows it, the proxy (None: none), the tool tip (3,) [m].
 
-        `holder` is who drags it, if that is to be said.
+        `holder` is who drags it, if that is to be said. Without a handle there is only a proxy.
         """
-        apart = target is not None and bool(
-            np.abs(target.translation - handle.translation).max() > TAUT
-        )
+        withdrawn = self.withdrawn or (handle is None and target is None)
+        by_hand = handle is not None and not withdrawn
+        if handle is None:
+            handle = pin.SE3(np.eye(3), p_tip) if target is None else target
+            apart = target is not None
+        else:
+            apart = target is not None and bool(
+                np.abs(target.translation - handle.translation).max() > TAUT
+            )
         self._name.position = to_view(handle.translation)
         self._name.text = ("handle" if apart else "proxy") + (f" · {holder}" if holder else "")
-        self.gizmo.visible = not self.withdrawn
-        self._name.visible = self._show_labels and not self.withdrawn
+        self.gizmo.visible = by_hand
+        self._name.visible = self._show_labels and by_hand
         goal = handle if target is None else target
-        self._ball.visible = apart and not self.withdrawn
+        self._ball.visible = apart and not withdrawn
         self._ball_name.visible = self._ball.visible and self._show_labels
         if apart:
             self._ball.position = to_view(goal.translation)
             self._ball_name.position = to_view(goal.translation)
         pulled = goal.translation - p_tip
-        taut = self._show_tether and not self.withdrawn and bool(np.linalg.norm(pulled) > TAUT)
+        taut = self._show_tether and not withdrawn and bool(np.linalg.norm(pulled) > TAUT)
         if taut:
             self._tether.position = to_view(p_tip)
             self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], pulled]]))

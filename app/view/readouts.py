@@ -111,7 +111,15 @@ def _table(rows: list[str], mark: str) -> str:
 
 def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: bool) -> str:
     """One coloured line on what the operator must know now; a calm one if there is nothing."""
-    text, color = _state(telemetry, options, extras, clutched)
+    return _line(*_state(telemetry, options, extras, clutched))
+
+
+def note(text: str) -> str:
+    """The same line with a text of somebody else's."""
+    return _line(text, palette.css(palette.BLUE))
+
+
+def _line(text: str, color: str) -> str:
     return (
         f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
         "background:#f3f3f3;color:#222;font-size:12.5px;line-height:1.35;"

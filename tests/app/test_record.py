@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app import record, replay, table, tape
+from app import player, record, replay, table, tape
 from app import scene as scenes
 from app.commands import replay as command
 from app.engine import Engine, Orders
@@ -301,6 +301,73 @@ def test_a_mesh_that_has_changed_is_refused(sound: Path) -> None:
         replay.first_difference(recording, mesh="stairs")
     with pytest.raises(ValueError, match="no-such-mesh"):
         replay.first_difference(recording, mesh="no-such-mesh")
+
+
+def test_any_row_is_shown_as_it_was(session_file: Path) -> None:
+    recording = record.read(session_file)
+    said = [telemetry for _, telemetry, _ in replay.rerun(recording)]
+    show = player.Player(recording, player.build_scenes(recording, 1))
+    assert len(show) == len(said)
+    rng = np.random.default_rng(3)
+    turns = rng.integers(1, len(said), 60)
+    for row in turns:  # to and fro
+        moment, then = show.moment(int(row)), said[row]
+        now = moment.telemetry
+        assert now.scene == moment.scene.version == then.scene
+        assert (now.tick, now.autopilot, now.stale) == (then.tick, then.autopilot, then.stale)
+        assert now.q.tolist() == then.q.tolist()
+        assert (now.target is None) == (then.target is None)
+        if now.target is not None:
+            assert now.target.homogeneous.tolist() == then.target.homogeneous.tolist()
+        if recording.rows["stepped"][row]:
+            assert now.step.tip.homogeneous.tolist() == then.step.tip.homogeneous.tolist()
+            assert now.step.force.tolist() == then.step.force.tolist()
+            assert now.step.status == then.step.status
+    moved = [r for r in turns if recording.rows["planes"][r] and said[r].target is not None]
+    assert len(moved) > 5
+    for row in moved:
+        planes = show.moment(int(row)).telemetry.step.planes
+        if recording.rows["order"][row] == recording.rows["order"][row - 1]:
+            assert planes.offsets.tolist() == said[row].step.planes.offsets.tolist()
+
+
+def test_a_scene_like_the_present_one_is_not_built_again(sound: Path) -> None:
+    recording = record.read(sound)
+    present = scenes.build(CUBE, 7)
+    assert player.build_scenes(recording, 100, like=present) == (present,)
+    other = scenes.build(replace(CUBE, mesh="stairs"), 8)
+    (built,) = player.build_scenes(recording, 100, like=other)
+    assert built.version == 100
+
+
+def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [50.0]
+    monkeypatch.setattr(player.time, "monotonic", lambda: clock[0])
+    transport = player.Transport(np.arange(101) * 0.01)
+    assert transport.row() == 0
+    clock[0] += 5.0
+    assert transport.row() == 0  # it rests until told to play
+    transport.play(True)
+    clock[0] += 0.205
+    assert transport.row() == 20
+    transport.pace(0.1)
+    clock[0] += 0.5
+    assert transport.row() == 25
+    transport.play(False)
+    clock[0] += 9.0
+    assert transport.row() == 25
+    transport.seek(0.805)
+    assert transport.row() == 80
+    transport.pace(1.0)
+    transport.play(True)
+    clock[0] += 1.0
+    assert transport.row() == 100
+    assert not transport.playing
+    transport.play(True)  # from the beginning
+    clock[0] += 0.105
+    assert transport.row() == 10
+    transport.seek(99.0)
+    assert transport.row() == 100
 
 
 # Files that nobody should trust

@@ -1,0 +1,37 @@
+"""What the page shows: the session as it runs, or something put in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from app.player import Moment
+from app.session import Session
+
+
+class Screen:
+    """The one place from which the page takes scene, options and telemetry.
+
+    Attributes:
+        instead: what to show instead of the session; None: the session.
+        caption: what the banner says meanwhile.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.instead: Callable[[], Moment] | None = None
+        self.caption = ""
+
+    @property
+    def live(self) -> bool:
+        """Whether the session itself is shown."""
+        return self.instead is None
+
+    def now(self) -> Moment:
+        """What to show now."""
+        instead = self.instead
+        if instead is not None:
+            return instead()
+        session = self._session
+        # Telemetry first: what it refers to is in force by then, or will be.
+        telemetry = session.latest()
+        return Moment(session.scene, session.options, telemetry)
