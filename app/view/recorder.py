@@ -57,6 +57,8 @@ class RecordTab:
         self._resume = False  # whether the session ran when the replay began
         self._opened = 0
         self._said = ""
+        self._doing = ""  # what takes long just now
+        self._drawn: Replay | None = None  # the replay that the controls are for
         gui = stage.server.gui
         with stage.left.add_tab("Record"):
             self._record = gui.add_button(
@@ -120,15 +122,26 @@ class RecordTab:
         """How the recording goes, and where the replay is."""
         tape, replay = self._session.tape, self._replay
         going = tape is not None and tape.running
+        # Controls are written here alone: viser may raise at writers from other threads.
+        self._refresh()
+        if replay is not self._drawn:
+            if replay is not None:
+                self._slider.max = max(round(replay.length, 3), 1e-3)
+                self._speed.value = "1"
+            for control in (self._play, self._slider, self._speed, self._leave):
+                control.visible = replay is not None
+            self._record.disabled = replay is not None
+            self._drawn = replay
         label = "Stop recording" if going else "Record"
         if self._record.label != label:
             self._record.label = label
             self._record.icon = viser.Icon.PLAYER_STOP if going else viser.Icon.PLAYER_RECORD
-            self._refresh()
         if tape is not None:
             text = f"Recording: {tape.rows:,} ticks." if going else tape.outcome
             color = palette.VERMILION if going or tape.note else palette.BLACK
-            self._say(text, color)
+            self._say(self._doing or text, color)
+        else:
+            self._say(self._doing, palette.BLACK)
         if replay is not None:
             at = replay.time()
             if abs(self._slider.value - at) > 5e-4:
@@ -143,7 +156,6 @@ class RecordTab:
         tape = self._session.tape
         if tape is not None and tape.running:
             self._session.stop_recording()
-            self._refresh()
             return
         if self._replay is not None:
             raise Refused("leave the replay first: it is the session that is recorded")
@@ -157,7 +169,7 @@ class RecordTab:
 
     def _start(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
-        self._stage.tell(client, f"Opening {path.name} …")
+        self._doing = f"Opening {path.name} …"
         recording = record.read(path)
         if not len(recording.rows):
             raise Refused("the recording holds no tick")
@@ -169,26 +181,16 @@ class RecordTab:
         self._end()
         self._resume = not self._session.latest().paused
         self._session.pause()
-        self._slider.max = max(round(replay.length, 3), 1e-3)
-        self._slider.value = 0.0
-        self._speed.value = "1"
         self._replay = replay
         self._stage.screen.instead = replay.now
-        self._show(True)
 
     def _end(self) -> None:
         if self._replay is None:
             return
         self._replay = None
         self._stage.screen.instead = None
-        self._show(False)
         if self._resume:
             self._session.resume()
-
-    def _show(self, replaying: bool) -> None:
-        for control in (self._play, self._slider, self._speed, self._leave):
-            control.visible = replaying
-        self._record.disabled = replaying
 
     def _toggle_play(self) -> None:
         replay = self._replay
@@ -208,7 +210,7 @@ class RecordTab:
         )
 
     def _images(self, client: viser.ClientHandle) -> None:
-        self._tell(client, f"Taking {FRAMES} pictures …")
+        self._doing = f"Taking {FRAMES} pictures …"
         taken = []
         due = time.monotonic()
         for _ in range(FRAMES):
@@ -254,6 +256,7 @@ class RecordTab:
             except (ValueError, OSError, TimeoutError) as error:
                 self._tell(client, f"{error}")
             finally:
+                self._doing = ""
                 self._busy.release()
 
     def _say(self, text: str, color: palette.Rgb) -> None:

@@ -29,6 +29,7 @@ def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     place = tmp_path_factory.mktemp("recordings")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "folder", lambda: place)
+        patch.setattr(recorder, "FRAMES", 4)  # a software renderer takes its time
         page = Page(session, "127.0.0.1", 0)
         yield page
         page.close()
@@ -79,9 +80,6 @@ def test_a_user_records_replays_scrubs_and_takes_pictures(
     visitor.picture("recorded")
 
     visitor.press("Replay")
-    visitor.tab.wait_for_timeout(6000)
-    visitor.picture("replaying")
-    print(page._screen.live, page._screen.caption, session.latest().paused)
     banner(visitor, "Replay: tick").wait_for(timeout=30_000)
     assert session.latest().paused
     stood = session.latest().tick
@@ -105,7 +103,11 @@ def test_a_user_records_replays_scrubs_and_takes_pictures(
     visitor.choose("Speed", "1/4")
     visitor.press("Play")
     wait_until(lambda: tool_on_page(page)[2] < recording.rows["tip"][0, 2] - 1e-3, "a move")
-    visitor.press("Pause replay")
+    sequence = downloaded(visitor, "Image sequence", tmp_path)
+    with Image.open(sequence) as gif:
+        assert gif.is_animated  # pillow makes one picture of pictures that are alike
+    if page.shown.telemetry.tick < last:
+        visitor.press("Pause replay")
     assert session.latest().tick == stood  # the session itself rests
 
     shot = downloaded(visitor, "Screenshot", tmp_path)
@@ -113,10 +115,6 @@ def test_a_user_records_replays_scrubs_and_takes_pictures(
     assert image.shape[2] == 3
     assert min(image.shape[:2]) > 100
     assert drawn_share(image) > 0.03
-
-    sequence = downloaded(visitor, "Image sequence", tmp_path)
-    with Image.open(sequence) as gif:
-        assert gif.is_animated
 
     scene = downloaded(visitor, "Scene as HTML", tmp_path)
     assert drawn_share(offline(browser, scene)) > 0.03
