@@ -286,7 +286,7 @@ def test_a_full_disk_ends_the_recording_not_the_loop(
     monkeypatch.setattr(Recorder, "_table", full)
     with Session(CUBE) as session:
         going = session.record(tmp_path / "a.vfrec")
-        wait_until(lambda: session.latest().tick > 20)
+        wait_until(lambda: going.rows > 0)
         with_reason = session.stop_recording()
         assert with_reason is going
         assert "No space left" in going.outcome
