@@ -135,3 +135,26 @@ class View:
 
     def __post_init__(self) -> None:
         _positive(drags=self.drags, seconds=self.seconds, rate=self.rate)
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """From a file to a guarded mesh, its health report and its repair: seconds for each."""
+
+    mesh: str = "skull-fine"
+    """Catalogue name or file of the mesh; skull-fine has about a million triangles."""
+    unit: str | None = None
+    """Unit of the mesh file."""
+    formats: tuple[str, ...] = ("stl", "ply")
+    """Formats to read the mesh from."""
+    passes: int = 3
+    """How often everything is done; the best counts."""
+    out: Path = OUT
+    """Folder for meshes.json."""
+
+    def __post_init__(self) -> None:
+        _positive(passes=self.passes)
+        known = ("stl", "ply", "obj", "off", "glb")
+        for kind in self.formats:
+            if kind not in known:
+                raise OptionError(f"unknown format '{kind}': choose from {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""Measure: run time over mesh sizes, other libraries beside ours, the control thread."""
+"""Measure: run time over mesh sizes, other libraries, the control thread, the page, files."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from app.bench.settings import Loop, Peers, Runtime, View
+from app.bench.settings import Loop, Meshes, Peers, Runtime, View
 from app.settings import OptionError, parse_as
 
-_KINDS: dict[str, type[Runtime] | type[Peers] | type[Loop] | type[View]] = {
+_KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes]] = {
     "runtime": Runtime,
     "peers": Peers,
     "loop": Loop,
     "view": View,
+    "meshes": Meshes,
 }
 USAGE_ERROR = 2
 WRONG_ANSWER = 1
 
 
 def main(arguments: list[str]) -> int:
-    """Run `bench runtime`, `peers`, `loop` or `view`; returns the exit code."""
+    """Run one of the measurements; returns the exit code."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: vf-sandbox bench {runtime,peers,loop,view} [options]\n")
+        print(f"usage: vf-sandbox bench {{{','.join(_KINDS)}}} [options]\n")
         for name, kind in _KINDS.items():
             print(f"  {name:8} {(kind.__doc__ or '').strip().splitlines()[0]}")
         return 0 if arguments else USAGE_ERROR
@@ -42,6 +43,8 @@ def main(arguments: list[str]) -> int:
             return _peers(options)
         if isinstance(options, View):
             return _view(options)
+        if isinstance(options, Meshes):
+            return _meshes(options)
         return _loop(options)
     except (OptionError, ValueError, OSError) as error:
         return _complain(str(error))
@@ -102,6 +105,17 @@ def _view(options: View) -> int:
         return _complain(str(reason))
     latency.report(result, console)
     console.print(f"written: {write(options.out, 'view', result)}")
+    return 0
+
+
+def _meshes(options: Meshes) -> int:
+    from app.bench import meshes
+    from app.bench.machine import write
+
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    result = _shown(console, lambda say, advance: meshes.run(options, say, advance))
+    meshes.tell(result, console)
+    console.print(f"written: {write(options.out, 'meshes', result)}")
     return 0
 
 

@@ -316,6 +316,17 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "idle, dragging, loading, joining" in capsys.readouterr().err
 
 
+def test_from_a_file_to_a_guarded_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--mesh", "torus", "--passes", "1", "--formats", "stl", "--out", str(tmp_path)]
+    assert bench.main(["meshes", *words]) == 0
+    assert "STL file to a ready fixture" in capsys.readouterr().out
+    stored = json.loads((tmp_path / "meshes.json").read_text())
+    assert stored["turned back"] == stored["flipped"] > 0
+    assert all(seconds > 0.0 for seconds in stored["seconds"].values())
+    assert bench.main(["meshes", "--formats", "doc"]) == 2
+    assert "choose from stl, ply, obj, off, glb" in capsys.readouterr().err
+
+
 def test_delays_pair_each_drag_with_the_first_move_after_it() -> None:
     from app.bench.latency import delays_of
 

@@ -1,0 +1,88 @@
+"""`bench meshes`: from a user's file to a guarded mesh, its report and its repair."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import meshes
+import vf
+from app.bench import report
+from app.bench.machine import machine, resident
+from app.bench.settings import Meshes
+from meshes.damage import damage
+
+FLIPPED = 0.02  # share of the faces turned over before the repair
+
+
+def run(
+    options: Meshes, say: Callable[[str], None], advance: Callable[[float], None]
+) -> dict[str, Any]:
+    """Seconds for each step on one mesh, the best of `options.passes`; as data for `tell`."""
+    about = machine()
+    say(f"making {options.mesh}")
+    vertices, faces = meshes.arrays(options.mesh, unit=options.unit)
+    flipped = faces.copy()
+    turned = np.random.default_rng(0).random(len(faces)) < FLIPPED
+    flipped[turned] = flipped[turned][:, ::-1]
+    with tempfile.TemporaryDirectory() as folder:
+        tasks: dict[str, Callable[[], object]] = {}
+        for kind in options.formats:
+            path = Path(folder) / f"mesh.{kind}"
+            meshes.save(path, vertices, faces, unit="mm")
+            tasks[f"{kind.upper()} file to a ready fixture"] = partial(_fixture, path)
+        tasks["health report without self-intersections"] = lambda: meshes.health(
+            vertices, faces, examine=0
+        )
+        tasks[f"repair of {FLIPPED:.0%} flipped faces"] = lambda: meshes.repair(vertices, flipped)
+        # Kernels are compiled once in an installation: not the measurement's business.
+        small = damage("flipped", meshes.arrays("cube"))
+        meshes.health(*small, examine=0)
+        meshes.repair(*small)
+        vf.MeshFixture(vf.Surface.from_arrays(*small)).inside(np.zeros(3))
+        seconds: dict[str, list[float]] = {name: [] for name in tasks}
+        for k in range(options.passes):
+            for i, (name, task) in enumerate(tasks.items()):
+                say(name)
+                began = perf_counter()
+                task()
+                seconds[name].append(perf_counter() - began)
+                advance((k * len(tasks) + i + 1) / (options.passes * len(tasks)))
+    changes = meshes.repair(vertices, flipped).changes
+    return {
+        "what": "From a file to a guarded mesh",
+        "machine": about,
+        "source": f"{options.mesh}, {len(faces):,} triangles",
+        "flipped": int(turned.sum()),
+        "turned back": changes.flipped,
+        "seconds": {name: min(times) for name, times in seconds.items()},
+        "resident [MB]": resident(),
+    }
+
+
+def tell(result: dict[str, Any], console: Console) -> None:
+    """The table of `run`."""
+    report.header(result, console)
+    table = Table()
+    table.add_column("step")
+    table.add_column("s", justify="right")
+    for name, seconds in result["seconds"].items():
+        table.add_row(name, f"{seconds:.2f}")
+    console.print(table)
+    console.print(f"{result['turned back']:,} of {result['flipped']:,} flipped faces turned back")
+
+
+def _fixture(path: Path) -> vf.MeshFixture:
+    """Read, index, and ask for the side of a point: all that comes before the first tick."""
+    vertices, faces = meshes.arrays(path, unit="mm")
+    fixture = vf.MeshFixture(vf.Surface.from_arrays(vertices, faces))
+    fixture.inside(vertices[0] + 1e-3)
+    return fixture
