@@ -169,17 +169,17 @@ class Panel:
             )
             self._scene_note = self._gui.add_html("")
 
-        # Plain functions: viser runs them in its pool, where building may take its time.
+        # The choice is read at once: until the change has begun, `sync` may put the control back.
         @self._mesh.on_update
-        def _mesh(event: viser.GuiEvent[Any]) -> None:
+        async def _mesh(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 name = str(event.target.value)
-                self._change(event.client, **self._files.get(name, {"mesh": name}))
+                self._begin_change(event.client, self._files.get(name, {"mesh": name}))
 
         @self._robot.on_update
-        def _robot(event: viser.GuiEvent[Any]) -> None:
+        async def _robot(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
-                self._change(event.client, robot=str(event.target.value))
+                self._begin_change(event.client, {"robot": str(event.target.value)})
 
     def _teleop_controls(self) -> None:
         session = self._session
@@ -316,8 +316,13 @@ class Panel:
         options = self._session.options
         self._files[self._session.scene.mesh_name] = {name: getattr(options, name) for name in MESH}
 
-    def _change(self, client: viser.ClientHandle, **wanted: Any) -> None:
-        """Another mesh or robot, in a thread of viser's pool; the page goes on meanwhile."""
+    def _begin_change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
+        """Another mesh or robot, in a thread of its own; the page goes on meanwhile."""
+        threading.Thread(
+            target=self._change, args=(client, wanted), name="change", daemon=True
+        ).start()
+
+    def _change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
         if not self._building.acquire(blocking=False):
             self._tell(client, "Another change is under way: wait until it is done.")
             return

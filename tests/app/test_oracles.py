@@ -189,6 +189,7 @@ def test_crossings_count_triangles_of_a_mesh():
 # A tip with a radius
 
 
+@pytest.mark.slow
 def test_a_ball_scrapes_what_it_comes_nearer_than_its_radius():
     rng = np.random.default_rng(6)
     found = 0
@@ -243,6 +244,7 @@ def some_planes(rng: np.random.Generator, m: int, x: np.ndarray, radius: float) 
     return vf.Planes(normals, offsets, np.zeros((m, 3)), index, index, radius)
 
 
+@pytest.mark.slow
 def test_leaks_are_what_linear_and_quadratic_programs_find():
     rng = np.random.default_rng(7)
     found = 0

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from everyday import everyday
 
 import meshes
 import robots
@@ -36,7 +37,7 @@ def certified(name: str, kind: str, number: int, robot: str, steps: int, **more:
     assert result.inside == 0, f"{name}, {kind}, {robot}"
 
 
-@pytest.mark.parametrize("kind", kinds())
+@pytest.mark.parametrize("kind", everyday(kinds(), "flipped", "sheet"))
 def test_nothing_gets_through_with_point(kind):
     for k, name in enumerate(SMALL):
         certified(name, kind, 10 * kinds().index(kind) + k, "point", 250)
@@ -62,7 +63,7 @@ def test_a_fast_arm_with_an_automatic_radius_gets_nothing_through():
     assert result.crossings == 0, result.first
 
 
-@pytest.mark.parametrize("kind", kinds())
+@pytest.mark.parametrize("kind", everyday(kinds(), "unwelded", "slivers"))
 def test_nothing_leaks(kind):
     for k, name in enumerate(SMALL):
         mesh = damage(kind, meshes.arrays(name), seed=k)

@@ -16,6 +16,8 @@ from app.settings import Options
 from app.view import Page, health
 from app.view.uploads import harmless
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def session(chromium: str) -> Iterator[Session]:

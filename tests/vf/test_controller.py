@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from everyday import everyday
 
 import meshes
 import robots
@@ -235,7 +236,7 @@ def test_pressing_on_a_plate_rests_at_the_standoff(rule):
     assert step.multipliers.max() > 0
 
 
-@pytest.mark.parametrize("name", ["skull-coarse", "saddle-slab", "gear"])
+@pytest.mark.parametrize("name", everyday(["skull-coarse", "saddle-slab", "gear"], "gear"))
 @pytest.mark.parametrize("arm", ["point", "psm"])
 def test_pressing_anywhere_does_not_chatter(name, arm):
     rng = np.random.default_rng(4)

@@ -8,6 +8,7 @@ import naive
 import numpy as np
 import pytest
 import trimesh
+from everyday import everyday
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -272,7 +273,7 @@ def test_when_the_budget_is_spent_the_ball_shrinks_and_nothing_leaks():
     assert 0.02 <= planes.radius < 0.05
 
 
-@pytest.mark.parametrize("budget", [1, 3, 10])
+@pytest.mark.parametrize("budget", everyday([1, 3, 10], 10))
 @pytest.mark.parametrize(("standoff", "tip_radius"), [(0, 0), (0.05, 0), (0, 0.1), (0.05, 0.1)])
 def test_the_ball_shrinks_at_any_budget(budget, standoff, tip_radius, monkeypatch):
     monkeypatch.setattr("vf.cover.BUDGET", budget)

@@ -3,12 +3,14 @@
 import itertools
 
 import numpy as np
+import pytest
 
 import meshes
 from app.experiments import judge
 from app.verification import exact
 
 
+@pytest.mark.slow
 def test_crossings_are_those_of_brute_force() -> None:
     vertices, faces = meshes.arrays("sphere")
     rng = np.random.default_rng(4)

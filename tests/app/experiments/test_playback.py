@@ -10,6 +10,7 @@ from app.experiments.protocol import Trial
 from app.messages import Command, LoopStats
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["off", "certified"])
 def test_the_engine_repeats_the_trial(rule: str) -> None:
     trial = Trial("tracing", rule, mesh="skull-coarse", rate=100.0, length=2e-3)
