@@ -1,8 +1,9 @@
 """What stands between the page and the network: who may connect, and what they may send.
 
 viser asks nobody for a name, checks no Origin, believes what clients say and opens a tunnel to the
-public when one asks for it. All that is put right here, and everything of viser's and websockets'
-insides that it takes; `_check` says so at the start should one of them have changed.
+public when one asks for it. Now and then it also stops sending for good. All that is put right
+here, and everything of viser's and websockets' insides that it takes; `_check` says so at the start
+should one of them have changed.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ import viser
 import websockets.asyncio.server
 from viser import _messages as wire
 from viser.infra import _infra
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame
 from websockets.http11 import Request, Response
@@ -87,6 +89,7 @@ def serve(host: str, port: int, token: str | None, **options: Any) -> viser.Vise
         Unguarded: the installed viser is not the one this was written for.
     """
     _check()
+    _wake_in_the_loop()
     door = Door(host, token)
     theirs = websockets.asyncio.server.serve
     wrapped: list[bool] = []
@@ -425,6 +428,37 @@ def _is_plain(value: Any, depth: int) -> bool:
     return value is None or (type(value) in (bool, int, float) and math.isfinite(value))
 
 
+class WakeUp(asyncio.Event):
+    """Wakes those who send what is in a buffer, and is deaf outside of their event loop.
+
+    `AsyncMessageBuffer.push` sets its event from whatever thread calls it, then once more in the
+    loop. If the first falls between a sender's look at the event and its falling asleep, the second
+    finds the event set already and wakes nobody, nor does any later one: the page stands still.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__()
+        self._home = loop
+
+    def set(self) -> None:
+        """Wake them if this is their loop; otherwise leave it to the call that will be."""
+        if asyncio._get_running_loop() is self._home:
+            super().set()
+
+
+@functools.cache
+def _wake_in_the_loop() -> None:
+    """Give every buffer of viser's a `WakeUp`."""
+    theirs = AsyncMessageBuffer.__init__
+
+    @functools.wraps(theirs)
+    def ours(self: AsyncMessageBuffer, *arguments: Any, **keywords: Any) -> None:
+        theirs(self, *arguments, **keywords)
+        self.message_event = WakeUp(self.event_loop)
+
+    AsyncMessageBuffer.__init__ = ours  # type: ignore[method-assign]
+
+
 def _never_share(server: viser.ViserServer) -> None:
     """Take away the way to viser's tunnel, from clients and from ourselves."""
     connection = server._websock_server
@@ -456,6 +490,7 @@ def _check() -> None:
         ),
         (_infra.websockets.asyncio.server, "serve"),
         (_infra.WebsockServer, "unregister_handler"),
+        *((AsyncMessageBuffer, name) for name in ("push", "atomic_end", "window_generator")),
         (viser.ViserServer, "request_share_url"),
     ]  # fmt: skip
     missing = [name for owner, name in wanted if not hasattr(owner, name)]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import math
 import socket
 import struct
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +18,9 @@ import msgspec
 import numpy as np
 import pytest
 import viser
+from viser import _messages as wire
 from viser import _viser
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
@@ -422,6 +426,33 @@ def test_clients_that_vanish_leave_nothing(page: Page, wait_until: Callable[...,
         wait_until(lambda: not page.server.get_clients())
     server = page.server._websock_server
     wait_until(lambda: not server._live_connections and not server._client_state_from_id)
+
+
+def test_a_message_from_another_thread_in_the_worst_moment_is_sent(page: Page) -> None:
+    async def receive() -> str:
+        loop = asyncio.get_running_loop()
+        buffer = AsyncMessageBuffer(loop, persistent_messages=True)
+        theirs = loop.create_future
+
+        def create_future() -> asyncio.Future[None]:
+            # The sender has seen that nothing waits to be sent, and is about to fall asleep.
+            if sys._getframe(1).f_locals.get("self") is buffer.message_event:
+                loop.create_future = theirs
+                message = wire.SetGuiPanelLabelMessage("late")
+                thread = threading.Thread(target=buffer.push, args=(message,))
+                thread.start()
+                thread.join()
+            return theirs()
+
+        loop.create_future = create_future
+        windows = buffer.window_generator(client_id=0)
+        try:
+            window = await asyncio.wait_for(anext(windows), 5.0)
+        finally:
+            await windows.aclose()
+        return str(window[0].label)
+
+    assert asyncio.run(receive()) == "late"
 
 
 def test_a_second_server_on_the_port_says_so(session: Session, page: Page) -> None:
