@@ -1,0 +1,150 @@
+"""Keeping a session: what a user does on the page's tab about recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from PIL import Image
+from watching import ARTIFACTS, Visitor, drawn_share, wait_until
+
+from app import record, replay
+from app.session import Session
+from app.settings import Options
+from app.view import Page, recorder
+
+
+@pytest.fixture(scope="module")
+def session(chromium: str) -> Iterator[Session]:
+    with Session(Options(mesh="cube", robot="point", rate=500.0)) as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    place = tmp_path_factory.mktemp("recordings")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorder, "folder", lambda: place)
+        patch.setattr(recorder, "FRAMES", 4)  # a software renderer takes its time
+        page = Page(session, "127.0.0.1", 0)
+        yield page
+        page.close()
+
+
+@pytest.fixture(scope="module")
+def visitor(page: Page, open_tab: Callable[[Page], Visitor]) -> Visitor:
+    visitor = open_tab(page)
+    visitor.tab.get_by_role("tab", name="Record", exact=True).click()
+    return visitor
+
+
+def slide(session: Session, seconds: float = 2.0) -> None:
+    """Push the tool into the cube's top and along it, as a hand would."""
+    start = session.scene.T_base_start
+    for u in np.linspace(0.0, 1.0, 40):
+        shift = np.array([0.02 * u - 0.01, 0.0, -0.05 * min(2.0 * u, 1.0)])
+        session.drive(pin.SE3(start.rotation, start.translation + shift), held=u < 1.0)
+        until = session.latest().tick + round(seconds * 500 / 40)
+        wait_until(lambda until=until: session.latest().tick >= until, "the loop to tick")
+
+
+def downloaded(visitor: Visitor, button: str, folder: Path) -> Path:
+    with visitor.tab.expect_download(timeout=90_000) as waiting:
+        visitor.press(button)
+    path = folder / waiting.value.suggested_filename
+    waiting.value.save_as(path)
+    return path
+
+
+def banner(visitor: Visitor, text: str) -> Any:
+    return visitor.tab.get_by_text(text).first
+
+
+@pytest.mark.slow
+def test_a_user_records_replays_scrubs_and_takes_pictures(
+    session: Session, page: Page, visitor: Visitor, browser: Any, tmp_path: Path
+) -> None:
+    visitor.press("Record")
+    wait_until(lambda: session.tape is not None and session.tape.running, "the recording")
+    slide(session)
+    visitor.press("Stop recording")
+    wait_until(lambda: not session.tape.running, "the file")
+    visitor.tab.get_by_text("Recorded ").first.wait_for(timeout=20_000)
+    recording = record.read(session.tape.path)
+    assert recording.rows["planes"].max() > 0
+    assert replay.first_difference(recording) is None
+    visitor.picture("recorded")
+
+    visitor.press("Replay")
+    banner(visitor, "Replay: tick").wait_for(timeout=30_000)
+    assert session.latest().paused
+    stood = session.latest().tick
+    slider = visitor.tab.get_by_role("slider").first
+    slider.focus()
+    slider.press("End")
+    last = int(recording.rows["tick"][-1])
+    banner(visitor, f"Replay: tick {last:,}").wait_for(timeout=30_000)
+    wait_until(
+        lambda: np.linalg.norm(tool_on_page(page) - recording.rows["tip"][-1]) < 1e-6,
+        "the tool where it was at the end",
+    )
+    at_end = visitor.picture("replay-end")
+    slider.press("Home")
+    first = int(recording.rows["tick"][0])
+    banner(visitor, f"Replay: tick {first:,}").wait_for(timeout=30_000)
+    visitor.tab.wait_for_timeout(500)
+    at_start = visitor.picture("replay-start")
+    assert np.abs(at_end.astype(int) - at_start.astype(int)).max() > 40  # another picture
+
+    visitor.choose("Speed", "1/4")
+    visitor.press("Play")
+    wait_until(lambda: tool_on_page(page)[2] < recording.rows["tip"][0, 2] - 1e-3, "a move")
+    sequence = downloaded(visitor, "Image sequence", tmp_path)
+    with Image.open(sequence) as gif:
+        assert gif.is_animated  # pillow makes one picture of pictures that are alike
+    if page.shown.telemetry.tick < last:
+        visitor.press("Pause replay")
+    assert session.latest().tick == stood  # the session itself rests
+
+    shot = downloaded(visitor, "Screenshot", tmp_path)
+    image = np.asarray(Image.open(shot).convert("RGB"))
+    assert image.shape[2] == 3
+    assert min(image.shape[:2]) > 100
+    assert drawn_share(image) > 0.03
+
+    scene = downloaded(visitor, "Scene as HTML", tmp_path)
+    assert drawn_share(offline(browser, scene)) > 0.03
+
+    visitor.press("Back to the session")
+    wait_until(lambda: session.latest().tick > stood + 50, "the session to go on")
+    assert not visitor.complaints
+
+
+def tool_on_page(page: Page) -> np.ndarray:
+    """Where the page shows the tool's tip (3,) [m]."""
+    return np.array(page.shown.telemetry.step.tip.translation)
+
+
+def offline(browser: Any, path: Path) -> np.ndarray:
+    """What a browser without any network shows of a file; fails if it asks the network."""
+    asked: list[str] = []
+    context = browser.new_context(
+        viewport={"width": 1280, "height": 720}, device_scale_factor=0.4, offline=True
+    )
+    tab = context.new_page()
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.goto(path.as_uri())
+    picture = ARTIFACTS / "scene-offline.png"
+    for _ in range(60):
+        tab.wait_for_timeout(500)
+        tab.screenshot(path=picture, scale="css", timeout=90_000)
+        shown = np.asarray(Image.open(picture).convert("RGB"))
+        if drawn_share(shown) > 0.03:
+            break
+    context.close()
+    assert not [url for url in asked if not url.startswith(("file:", "data:", "blob:"))]
+    return shown
