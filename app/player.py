@@ -143,7 +143,7 @@ class Transport:
         """The row that is due now; the last one for good once it is reached."""
         due = self._due()
         if self.playing and due >= self._times[-1]:
-            self.seek(float(self._times[-1]))
+            self.seek(due)
         return int(np.clip(np.searchsorted(self._times, due, "right") - 1, 0, len(self._times) - 1))
 
     def play(self, on: bool) -> None:
@@ -159,9 +159,9 @@ class Transport:
         self.speed = speed
 
     def seek(self, at: float) -> None:
-        """Rest at a time [s]."""
+        """Rest at the row nearest to a time [s]: whoever asks has rounded it."""
         self.playing = False
-        self._from = float(np.clip(at, self._times[0], self._times[-1]))
+        self._from = float(self._times[np.abs(self._times - at).argmin()])
 
     def _due(self) -> float:
         gone = (time.monotonic() - self._began) * self.speed if self.playing else 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -126,7 +127,7 @@ class RecordTab:
         self._refresh()
         if replay is not self._drawn:
             if replay is not None:
-                self._slider.max = max(round(replay.length, 3), 1e-3)
+                self._slider.max = max(math.ceil(replay.length * 1e3) / 1e3, 1e-3)
                 self._speed.value = "1"
             for control in (self._play, self._slider, self._speed, self._leave):
                 control.visible = replay is not None

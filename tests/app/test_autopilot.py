@@ -14,12 +14,7 @@ import robots
 import vf
 from app.autopilot import DEPTH, Autopilot, plan
 
-LARGE = ("skull", "skull-fused", "skull-precut")
-NAMES = [
-    pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name
-    for name in meshes.names()
-    if "fine" not in name
-]
+NAMES = [name for name in meshes.names() if "fine" not in name]
 
 
 def tour(name: str) -> tuple[vf.Surface, pin.SE3, Autopilot]:

@@ -356,7 +356,7 @@ def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> Non
     transport.play(False)
     clock[0] += 9.0
     assert transport.row() == 25
-    transport.seek(0.805)
+    transport.seek(0.804)
     assert transport.row() == 80
     transport.pace(1.0)
     transport.play(True)
@@ -368,6 +368,17 @@ def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> Non
     assert transport.row() == 10
     transport.seek(99.0)
     assert transport.row() == 100
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.001, 1 / 3000])
+def test_a_replay_seeks_to_the_row_whose_time_is_given_in_milliseconds(dt: float) -> None:
+    times = np.arange(3000) * dt
+    transport = player.Transport(times)
+    for row in range(0, 3000, 7):
+        transport.seek(round(float(times[row]), 3))
+        assert abs(times[transport.row()] - times[row]) <= 0.5e-3
+        if dt >= 0.001:
+            assert transport.row() == row
 
 
 # Files that nobody should trust
