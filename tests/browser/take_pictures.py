@@ -97,14 +97,8 @@ def mesh(visitor: Visitor, session: Session) -> None:
     camera.move(visitor.client, camera.anatomy_view(session.scene))
 
 
-def phone(visitor: Visitor, session: Session) -> None:
-    """On a screen of 390 × 844 points."""
-    visitor.tab.set_viewport_size({"width": 390, "height": 844})
-    press(session)
-
-
 PICTURES: tuple[Callable[[Visitor, Session], None], ...] = (
-    first_sight, sandbox, inspector, region, condition_2, signals, mesh, phone,
+    first_sight, sandbox, inspector, region, condition_2, signals, mesh,
 )  # fmt: skip
 
 
