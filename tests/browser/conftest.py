@@ -43,14 +43,14 @@ def chromium() -> str:
         pytest.skip(str(reason))
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def session(chromium: str) -> Iterator[Session]:
     # Half the usual rate, to leave a small machine something for the browser.
     with Session(Options(mesh="skull-coarse", rate=500.0)) as session:
         yield session
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def page(session: Session) -> Iterator[Page]:
     page = Page(session, "127.0.0.1", 0)
     yield page
@@ -67,15 +67,21 @@ def browser(chromium: str) -> Iterator[Any]:
         browser.close()
 
 
-@pytest.fixture(scope="package")
-def open_tab(browser: Any) -> Callable[[Page], Visitor]:
-    """Opens another tab on a page and waits until it knows the tab and has sent everything."""
+@pytest.fixture(scope="module")
+def open_tab(browser: Any) -> Iterator[Callable[[Page], Visitor]]:
+    """Opens another tab on a page and waits until it knows the tab and has sent everything.
+
+    It ends with the module: a software renderer makes every tab costly, most of all one that looks
+    for a page that is gone.
+    """
+    tabs: list[Any] = []
 
     def open_it(page: Page) -> Visitor:
         known = set(page.server.get_clients())
         # Low resolution: a software renderer has a sixth of the pixels to fill.
         tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
         tab.add_init_script(FEWER_FRAMES)
+        tabs.append(tab)
         visitor = Visitor(tab, -1, page)
         tab.on(
             "console",
@@ -91,16 +97,18 @@ def open_tab(browser: Any) -> Callable[[Page], Visitor]:
         settle(visitor, known)
         return visitor
 
-    return open_it
+    yield open_it
+    for tab in tabs:
+        tab.close()
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def visit(page: Page, open_tab: Callable[[Page], Visitor]) -> Callable[[], Visitor]:
     """Opens another tab on the page that most tests share."""
     return lambda: open_tab(page)
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def visitor(visit: Callable[[], Visitor]) -> Visitor:
-    """The tab that most tests share."""
+    """The tab that the tests of a module share."""
     return visit()
