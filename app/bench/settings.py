@@ -158,3 +158,22 @@ class Meshes:
         for kind in self.formats:
             if kind not in known:
                 raise OptionError(f"unknown format '{kind}': choose from {', '.join(known)}")
+
+
+@dataclass(frozen=True)
+class Soak:
+    """An hour of autopilot while a client comes and goes: nothing may grow."""
+
+    minutes: float = 60.0
+    """How long."""
+    reconnect: float = 60.0
+    """How long the client stays before it leaves and comes again [s]."""
+    mesh: str = "skull"
+    """Catalogue name or file of the mesh."""
+    rate: float = 1000.0
+    """Ticks of the control loop per second."""
+    out: Path = OUT
+    """Folder for soak.json."""
+
+    def __post_init__(self) -> None:
+        _positive(minutes=self.minutes, reconnect=self.reconnect, rate=self.rate)

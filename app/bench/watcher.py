@@ -1,7 +1,7 @@
 """A headless Chromium that looks at a page, in a process of its own: `-m app.bench.watcher URL`.
 
 Apart, so that driving the browser takes nothing from the interpreter that is being measured. Words
-on standard input (`frames`, `join`, `leave`, `quit`) are each answered by a line of JSON.
+on standard input (`frames`, `join`, `leave`, `again`, `quit`) are each answered by a line of JSON.
 """
 
 from __future__ import annotations
@@ -136,6 +136,10 @@ def _main(url: str) -> int:
                     pages.append(_open(browser, url))
                 elif word == "leave" and len(pages) > 1:
                     pages.pop().context.close()
+                elif word == "again":
+                    pages.pop(0).context.close()
+                    pages.insert(0, _open(browser, url))
+                    pages[0].evaluate(_COUNT)
                 elif word == "quit":
                     break
                 _say(frames=pages[0].evaluate("window.seen"), pages=len(pages))

@@ -1,4 +1,4 @@
-"""Measure: run time over mesh sizes, other libraries, the control thread, the page, files."""
+"""Measure: run time, other libraries, the control thread, the page, files, an hour of it all."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from app.bench.settings import Loop, Meshes, Peers, Runtime, View
+from app.bench.settings import Loop, Meshes, Peers, Runtime, Soak, View
 from app.settings import OptionError, parse_as
 
-_KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes]] = {
+_KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes | Soak]] = {
     "runtime": Runtime,
     "peers": Peers,
     "loop": Loop,
     "view": View,
     "meshes": Meshes,
+    "soak": Soak,
 }
 USAGE_ERROR = 2
 WRONG_ANSWER = 1
+GREW = 1
 
 
 def main(arguments: list[str]) -> int:
@@ -45,6 +47,8 @@ def main(arguments: list[str]) -> int:
             return _view(options)
         if isinstance(options, Meshes):
             return _meshes(options)
+        if isinstance(options, Soak):
+            return _soak(options)
         return _loop(options)
     except (OptionError, ValueError, OSError) as error:
         return _complain(str(error))
@@ -117,6 +121,21 @@ def _meshes(options: Meshes) -> int:
     meshes.tell(result, console)
     console.print(f"written: {write(options.out, 'meshes', result)}")
     return 0
+
+
+def _soak(options: Soak) -> int:
+    from app.bench import soak
+    from app.bench.machine import write
+    from app.bench.watcher import NoBrowser
+
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    try:
+        result = _shown(console, lambda say, advance: soak.run(options, say, advance))
+    except NoBrowser as reason:
+        return _complain(str(reason))
+    soak.tell(result, console)
+    console.print(f"written: {write(options.out, 'soak', result)}")
+    return GREW if result["complaints"] else 0
 
 
 def _shown(

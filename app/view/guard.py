@@ -132,6 +132,28 @@ def token_for(host: str) -> str | None:
     return None if host == "localhost" or _is_loopback(host) else secrets.token_urlsafe(24)
 
 
+def census(server: viser.ViserServer) -> dict[str, int]:
+    """What viser keeps, in numbers: a page that runs for days must not keep more and more.
+
+    Returns:
+        "nodes" of the scene, "controls" of the panel, "messages" kept for whoever joins,
+        "clients" connected, and "backlog", the most messages that one of them has yet to be sent.
+    """
+    shared = server._websock_server._broadcast_buffer
+    states = list(server._websock_server._client_state_from_id.values())
+    with shared.buffer_lock:
+        behind = [shared.message_counter - 1 - sent for sent in shared.generator_cursors.values()]
+        kept = len(shared.message_from_id)
+    own = [len(state.message_buffer.message_from_id) for state in states]
+    return {
+        "nodes": len(server.scene._handle_from_node_name),
+        "controls": len(server.gui._gui_input_handle_from_uuid),
+        "messages": kept,
+        "clients": len(states),
+        "backlog": max([*behind, *own], default=0),
+    }
+
+
 class Door:
     """Decides about each HTTP request, a WebSocket's handshake among them."""
 

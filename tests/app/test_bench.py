@@ -16,7 +16,17 @@ import meshes
 import robots
 import vf
 from app.bench import course as courses
-from app.bench import loop, peers, queries, reference, report, runtime, settings, solvers
+from app.bench import (
+    loop,
+    peers,
+    queries,
+    reference,
+    report,
+    runtime,
+    settings,
+    soak,
+    solvers,
+)
 from app.bench.machine import write
 from app.bench.queries import Peer
 from app.commands import bench
@@ -338,3 +348,35 @@ def test_delays_pair_each_drag_with_the_first_move_after_it() -> None:
     assert delays_of(log).tolist() == [[10.0, 30.0, 70.0], [5.0, 55.0, 100.0]]
     with pytest.raises(ValueError, match="no drag moved the tool"):
         delays_of({"sent": [[1.0, 2.0]], "moved": [], "drawn": []})
+
+
+def sampled(**series: list[float]) -> list[dict[str, float]]:
+    """Samples of an uneventful soak, but for what is given."""
+    calm = {"nodes": 40, "controls": 90, "messages": 900, "threads": 9, "clients": 1, "backlog": 3}
+    return [
+        {"memory [MB]": 500.0, **calm, **{name: values[k] for name, values in series.items()}}
+        for k in range(60)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "word"),
+    [
+        ("memory [MB]", [500.0 + k for k in range(60)], "memory grew by"),
+        ("nodes", [40 + k // 5 for k in range(60)], "nodes grew from"),
+        ("messages", [900 + 5 * k for k in range(60)], "messages grew from"),
+        ("threads", [9 + k // 6 for k in range(60)], "threads grew from"),
+        ("backlog", [3] * 59 + [5000], "5,000 messages behind"),
+        ("clients", [1] * 30 + [3] * 30, "3 clients"),
+    ],
+)
+def test_a_soak_complains_of_what_grows(name: str, values: list[float], word: str) -> None:
+    assert soak.complaints(sampled()) == []
+    (complaint,) = soak.complaints(sampled(**{name: values}))
+    assert word in complaint
+
+
+def test_a_soak_forgives_a_warm_up_and_a_spike() -> None:
+    warming = [300.0 + 20 * min(k, 10) for k in range(60)]
+    warming[40] = 900.0
+    assert soak.complaints(sampled(**{"memory [MB]": warming})) == []

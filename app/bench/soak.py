@@ -1,0 +1,138 @@
+"""`bench soak`: does anything grow while the autopilot runs and a client comes and goes?"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from app.bench.loop import Tap, summary
+from app.bench.machine import machine, resident
+from app.bench.settings import Soak
+from app.bench.watcher import Watcher
+from app.loop import prefer_this_process
+from app.session import Session
+from app.settings import Options
+from app.view import guard
+from app.view.page import Page
+
+GROWTH = 0.05  # of the memory, from the first visits to the last: less is flat
+WARM_UP = 0.2  # share of the run that is not compared: caches fill
+SAMPLES = 240  # at most, over the run
+BACKLOG = 2000  # messages that a client may be behind: one second of the page at its busiest
+
+
+def run(
+    options: Soak, say: Callable[[str], None], advance: Callable[[float], None]
+) -> dict[str, Any]:
+    """Let it run; returns what `soak.json` holds.
+
+    Raises:
+        NoBrowser: there is none to come and go.
+        ValueError: an unusable mesh.
+    """
+    about = machine()
+    prefer_this_process()
+    seconds = 60.0 * options.minutes
+    with ExitStack() as stack:
+        wanted = Options(mesh=options.mesh, rate=options.rate, port=0)
+        session = Session(wanted, progress=say)
+        tap = Tap(session, int(options.rate * (seconds + 300.0)))
+        stack.callback(session.close)
+        session.start()
+        page = Page(session, "127.0.0.1", 0)
+        stack.callback(page.close)
+        session.set_autopilot(True)
+        say("opening the browser")
+        browser = stack.enter_context(Watcher(page.url))
+        say(f"{options.minutes:g} min of autopilot, a client anew every {options.reconnect:g} s")
+        first, began = tap.count, time.perf_counter()
+        visits, samples = 1, []
+        sample = max(seconds / SAMPLES, 1.0)
+        while (gone := time.perf_counter() - began) < seconds:
+            if gone > visits * options.reconnect:
+                browser.tell("again")
+                visits += 1
+            time.sleep(sample)
+            samples.append(_sample(time.perf_counter() - began, page))
+            advance(gone / seconds)
+        ticks = summary(tap.since(first), time.perf_counter() - began, options.rate)
+    return {
+        "what": "vf-sandbox bench soak",
+        "machine": about,
+        "options": {**asdict(options), "out": str(options.out)},
+        "visits": visits,
+        "loop": ticks,
+        "samples": samples,
+        "growth": growth([s["memory [MB]"] for s in samples]),
+        "complaints": complaints(samples),
+    }
+
+
+def _sample(at: float, page: Page) -> dict[str, Any]:
+    return {
+        "at [s]": at,
+        "memory [MB]": resident() or float("nan"),
+        "threads": threading.active_count(),
+        **guard.census(page.server),
+    }
+
+
+def _ends(values: list[float]) -> tuple[float, float]:
+    """Medians of the first and of the last third of what follows the warm-up."""
+    after = np.array(values[round(WARM_UP * len(values)) :], dtype=float)
+    third = max(len(after) // 3, 1)
+    return float(np.median(after[:third])), float(np.median(after[-third:]))
+
+
+def growth(values: list[float]) -> float:
+    """By which share something grew, from after the warm-up to the end."""
+    before, after = _ends(values)
+    return after / before - 1.0
+
+
+def complaints(samples: list[dict[str, Any]]) -> list[str]:
+    """What grew that should not; empty when all is well."""
+    found = []
+    grown = growth([s["memory [MB]"] for s in samples])
+    if not grown < GROWTH:
+        found.append(f"memory grew by {grown:.1%}")
+    for what in ("nodes", "controls", "messages", "threads"):
+        before, after = _ends([s[what] for s in samples])
+        # Telemetry comes and goes with what is in the ball; only a trend is a leak.
+        if after > before + max(3.0, GROWTH * before):
+            found.append(f"{what} grew from {before:.0f} to {after:.0f}")
+    behind = max(s["backlog"] for s in samples)
+    if behind > BACKLOG:
+        found.append(f"a client was {behind:,} messages behind")
+    clients = max(s["clients"] for s in samples)
+    if clients > 2:
+        found.append(f"{clients} clients were counted, where there was never more than one")
+    return found
+
+
+def tell(result: dict[str, Any], console: Console) -> None:
+    """The result as lines on a terminal."""
+    samples, loop = result["samples"], result["loop"]
+    console.print(
+        f"{samples[-1]['at [s]'] / 60:.1f} min, {result['visits']} visits, "
+        f"{loop['ticks']:,} ticks at {loop['rate [Hz]']:.1f} Hz, {loop['punctual']:.2%} less than "
+        f"1 ms late, longest stall {loop['longest stall [ms]']:.1f} ms"
+    )
+    for what in ("memory [MB]", "nodes", "controls", "messages", "threads", "backlog"):
+        values = [s[what] for s in samples]
+        before, after = _ends(values)
+        console.print(
+            f"  {what:12} {before:9,.0f} after the warm-up, {after:9,.0f} at the end, "
+            f"{max(values):9,.0f} at most"
+        )
+    for complaint in result["complaints"]:
+        console.print(f"[red]{complaint}[/red]")
+    if not result["complaints"]:
+        console.print(f"flat: memory changed by {result['growth']:+.1%}")
