@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+import meshes
 from app.bench.machine import machine, percentiles, resident
 from app.bench.settings import Loop
 from app.bench.watcher import NoBrowser, Watcher
@@ -129,10 +130,12 @@ def _phase(
     session.set_autopilot(phase != "idle")
     time.sleep(min(SETTLE, options.seconds))
     stop = threading.Event()
-    done = {"loads": 0, "joins": 0}
+    done = {"loads": 0, "reports": 0, "joins": 0}
     work: list[threading.Thread] = []
     if phase == "loading":
         work.append(threading.Thread(target=_load, args=(session, stop, done), name="loading"))
+    elif phase == "examining":
+        work.append(threading.Thread(target=_examine, args=(session, stop, done), name="examining"))
     elif phase == "joining" and browser is not None:
         work.append(threading.Thread(target=_join, args=(browser, stop, done), name="joining"))
     frames = _frames(browser) if phase != "joining" else None
@@ -198,6 +201,13 @@ def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None
                 return
             session.set_autopilot(True)
             done["loads"] += 1
+
+
+def _examine(session: Session, stop: threading.Event, done: dict[str, int]) -> None:
+    """Make the health report of the mesh again and again, as its button on the page does."""
+    while not stop.is_set():
+        meshes.health(session.scene.surface)
+        done["reports"] += 1
 
 
 def _join(browser: Watcher, stop: threading.Event, done: dict[str, int]) -> None:

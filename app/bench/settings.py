@@ -88,7 +88,7 @@ class Loop:
     """The control thread's punctuality with the page open, a browser looking on and work going on.
 
     Phases of equal length: idle; dragging (the autopilot); loading another mesh again and again;
-    a second client joining.
+    examining the mesh again and again; a second client joining.
     """
 
     mesh: str | None = None
@@ -97,7 +97,7 @@ class Loop:
     """Unit of the mesh file."""
     seconds: float = 60.0
     """Length of each phase."""
-    phases: tuple[str, ...] = ("idle", "dragging", "loading", "joining")
+    phases: tuple[str, ...] = ("idle", "dragging", "loading", "examining", "joining")
     """Which phases, in this order."""
     rate: float = 1000.0
     """Ticks per second."""
@@ -112,7 +112,7 @@ class Loop:
 
     def __post_init__(self) -> None:
         _positive(seconds=self.seconds, rate=self.rate)
-        known = ("idle", "dragging", "loading", "joining")
+        known = ("idle", "dragging", "loading", "examining", "joining")
         for phase in self.phases:
             if phase not in known:
                 raise OptionError(f"unknown phase '{phase}': choose from {', '.join(known)}")
