@@ -90,8 +90,11 @@ def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
     session.pause()
     wait_until(lambda: says(session, "Paused. Run"))
     session.set_standoff(5e-4)
+    tick = session.latest().tick
     session.single_step()
-    wait_until(lambda: step_of(session).status is vf.Status.RECOVERING)
+    # The status alone is not enough: the new standoff shows before the step is done.
+    wait_until(lambda: session.latest().tick > tick)
+    assert step_of(session).status is vf.Status.RECOVERING
     assert "Recovering" in banner(session, replace(session.latest(), paused=False))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import time
 from collections.abc import Iterator
 
@@ -39,17 +40,17 @@ def attacker(page: Page) -> Iterator[ClientConnection]:
         page.url.replace("http", "ws"),
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
-    ) as socket:
-        introduce(socket)
+    ) as connection:
+        introduce(connection)
         wait_until(lambda: len(page.server.get_clients()) == 1, "the attacker to be known")
-        yield socket
+        yield connection
     wait_until(lambda: not page.server.get_clients(), "the attacker to be gone")
 
 
-def introduce(socket: ClientConnection) -> None:
+def introduce(connection: ClientConnection) -> None:
     """Say where the camera is, which makes the server count a client."""
     send(
-        socket,
+        connection,
         "ViewerCameraMessage",
         wxyz=(1, 0, 0, 0),
         position=(1, 1, 1),
@@ -124,7 +125,7 @@ def test_a_client_that_vanishes_in_mid_drag_leaves_the_tool_holding(
     wait_until(lambda: session.latest().target is not None, "the drag")
     time.sleep(1.0)
     assert not session.latest().stale, "a hand at rest is no lost hand"
-    attacker.close()
+    attacker.socket.shutdown(socket.SHUT_RDWR)  # no farewell
     wait_until(lambda: session.latest().stale, "the tool to hold")
     session.recall()
     wait_until(lambda: not session.latest().stale, "somebody to take over")

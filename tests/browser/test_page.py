@@ -195,6 +195,7 @@ def test_pause_stops_the_ticks_and_step_does_one(visitor: Visitor, session: Sess
     wait_until(lambda: session.latest().tick > tick + 10, "ticks")
 
 
+@pytest.mark.slow
 def test_autopilot_runs_until_somebody_takes_the_gizmo(
     visitor: Visitor, session: Session, page: Page
 ) -> None:
@@ -218,6 +219,7 @@ def test_typed_values_out_of_range_are_put_right(visitor: Visitor, session: Sess
     wait_until(lambda: box.input_value() == "20", "the box to show it")
 
 
+@pytest.mark.slow
 def test_a_second_client_sees_the_same(
     visit: Callable[[], Visitor], visitor: Visitor, session: Session, page: Page
 ) -> None:
@@ -244,6 +246,7 @@ def test_a_second_client_sees_the_same(
     wait_until(lambda: len(page.server.get_clients()) == 1, "the second client to leave")
 
 
+@pytest.mark.slow
 def test_the_page_survives_a_reload(visitor: Visitor, session: Session, page: Page) -> None:
     session.set_rule("paper")
     drag_gizmo(visitor, page, axis=0, distance=0.01)
@@ -260,6 +263,7 @@ def test_the_page_survives_a_reload(visitor: Visitor, session: Session, page: Pa
     assert visitor.complaints == []
 
 
+@pytest.mark.slow
 def test_old_numbers_say_that_they_are_old(
     visitor: Visitor, page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
