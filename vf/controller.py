@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import inf, isfinite
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vf import problem
 from vf.cover import BUDGET, Buffer
-from vf.fixtures import ON_SURFACE, RULES, Fixture, MeshFixture
+from vf.fixtures import ON_SURFACE, RULES, Filling, Fixture, MeshFixture
 from vf.planes import FloatArray, Planes
 from vf.qp import ConstrainedLeastSquares, Solver
 from vf.qp_kernels import attempt
@@ -227,11 +227,10 @@ class Controller:
             s.standoff, s.tip_radius, s.rotation_length, s.damping, s.force_gain, s.force_cap,
             self._tip_reach,
         )  # fmt: skip
-        self._reserve(BUDGET)
-        self._buffer = Buffer()
-        only = self.fixtures[0] if len(self.fixtures) == 1 else None
-        certified = isinstance(only, MeshFixture) and only.rule == "certified"
-        self._fill = only.fill if isinstance(only, MeshFixture) and certified else None
+        queries = max(len(self.fixtures), 1)
+        self._reserve(queries * BUDGET)
+        self._buffer = Buffer(queries)
+        self._filling = [cast(Filling, f) for f in self.fixtures if getattr(f, "fills", False)]
         asked = [f.radius for f in self.fixtures if f.radius is not None]
         self._asked = min(asked) if asked else None
         self._idle = np.zeros(n, dtype=np.int8)
@@ -280,9 +279,7 @@ class Controller:
         radius = self._asked or self._farthest(J)
         inside = self._sides(q, x)
         planes: Planes | None = None
-        found = None
-        if self._fill is not None and not inside[0]:
-            found = self._fill(self._buffer, x, radius, s.standoff, s.tip_radius)
+        found = None if True in inside else self._filled(x, radius)
         if found is not None:
             half: Planes | Buffer = self._buffer
             m, reach = found
@@ -380,6 +377,22 @@ class Controller:
         if self._known[0] != key:
             self._known = (key, tuple(fixture.inside(x) for fixture in self.fixtures))
         return self._known[1]
+
+    def _filled(self, x: FloatArray, radius: float) -> tuple[int, float] | None:
+        """What all fixtures say, in the buffer: how many planes, and the radius they are valid in.
+
+        None where one of them cannot answer that way.
+        """
+        if len(self._filling) < len(self.fixtures):
+            return None
+        s, m, reach = self.settings, 0, radius
+        for fixture in self._filling:
+            found = fixture.fill(self._buffer, m, x, radius, s.standoff, s.tip_radius)
+            if found is None:
+                return None
+            m += found[0]
+            reach = min(reach, found[1])
+        return m, reach
 
     def _planes(self, x: FloatArray, radius: float, inside: tuple[bool, ...]) -> Planes:
         """What all fixtures say, together."""

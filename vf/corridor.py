@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from vf.cover import VALLEY_ROOM, YIELD
+from vf.cover import VALLEY_ROOM, YIELD, Buffer
 from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length
 
-BUDGET = 32
+BUDGET = 32  # planes at most; a buffer has room for more
 FAR = 1.0  # the walls go on straight by this much before and after the path [m]
 STRAIGHT = 1e-9  # a point this near to the straight line of its neighbours is no bend [m]
 HAIR = 1e-12  # on a wall within rounding [m]
@@ -47,6 +47,7 @@ class CorridorFixture:
     """
 
     certified = True
+    fills = True
 
     def __init__(
         self,
@@ -74,9 +75,23 @@ class CorridorFixture:
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
     ) -> Planes:
-        return Planes(
-            *_planes(*self._walls, self._axes, x, radius, standoff, tip_radius, self.width)
-        )
+        buffer = Buffer()
+        return buffer.cut(*self.fill(buffer, 0, x, radius, standoff, tip_radius))
+
+    def fill(
+        self,
+        buffer: Buffer,
+        first: int,
+        x: FloatArray,
+        radius: float,
+        standoff: float,
+        tip_radius: float,
+    ) -> tuple[int, float]:
+        m, reach = _planes(
+            *self._walls, self._axes, x, radius, standoff, tip_radius, self.width,
+            *buffer.rows(first),
+        )  # fmt: skip
+        return m, reach
 
     def room(self, x: ArrayLike) -> float:
         """Distance of x (3,) to the nearest wall [m], negative outside the corridor."""
@@ -276,10 +291,25 @@ def _meets_at_valley(starts, ends, normals, sides, i, t):  # type: ignore[no-unt
 
 @njit(cache=True, nogil=True)
 def _planes(  # type: ignore[no-untyped-def]
-    starts, ends, normals, sides, axes, p, radius, standoff, tip_radius, width
+    starts,
+    ends,
+    normals,
+    sides,
+    axes,
+    p,
+    radius,
+    standoff,
+    tip_radius,
+    width,
+    out_normals,
+    out_offsets,
+    out_points,
+    out_triangles,
+    out_rules,
 ):
-    """The fields of `Planes`: the certified cover of `vf.cover`, of flat pieces instead of
-    triangles. What is left of a piece behind a plane is a piece again, so t runs over [low, high].
+    """The planes into the fields of a buffer: the certified cover of `vf.cover`, of flat pieces
+    instead of triangles. What is left of a piece behind a plane is a piece again, so t runs over
+    [low, high].
     """
     x = axes[0, 0] * p[0] + axes[0, 1] * p[1] + axes[0, 2] * p[2]
     y = axes[1, 0] * p[0] + axes[1, 1] * p[1] + axes[1, 2] * p[2]
@@ -359,12 +389,13 @@ def _planes(  # type: ignore[no-untyped-def]
             flat[m, 0], flat[m, 1] = nx, ny
             feet[m, 0], feet[m, 1] = cx, cy
             m += 1
-    out = np.empty((m, 3))
-    points = np.empty((m, 3))
     for i in range(m):
         for c in range(3):
-            out[i, c] = flat[i, 0] * axes[0, c] + flat[i, 1] * axes[1, c]
-            points[i, c] = p[c] + ((feet[i, 0] - x) * axes[0, c] + (feet[i, 1] - y) * axes[1, c])
-    triangles = np.full(m, -1, dtype=np.int64)
-    rules = np.full(m, CORRIDOR, dtype=np.int64)
-    return out, offsets[:m].copy(), points, triangles, rules, valid
+            out_normals[i, c] = flat[i, 0] * axes[0, c] + flat[i, 1] * axes[1, c]
+            out_points[i, c] = p[c] + (
+                (feet[i, 0] - x) * axes[0, c] + (feet[i, 1] - y) * axes[1, c]
+            )
+        out_offsets[i] = offsets[i]
+        out_triangles[i] = -1
+        out_rules[i] = CORRIDOR
+    return m, valid

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
 from vf.pdtree import Tree, box_distance2, triangle_at, triangles_of
-from vf.planes import FloatArray, Planes, checked_length, checked_point
+from vf.planes import FloatArray, IntArray, Planes, checked_length, checked_point
 from vf.surface import Surface
 
 BUDGET = 64
@@ -86,24 +86,40 @@ def cover(
 
 
 class Buffer:
-    """Room for the planes of one query, to be filled again and again. Not thread-safe."""
+    """Room for the planes of one tick, to be filled again and again. Not thread-safe."""
 
-    def __init__(self) -> None:
-        self.normals = np.empty((BUDGET, 3))
-        self.offsets = np.empty(BUDGET)
-        self.points = np.empty((BUDGET, 3))
-        self.triangles = np.empty(BUDGET, dtype=np.int64)
-        self.rules = np.empty(BUDGET, dtype=np.int64)
+    def __init__(self, queries: int = 1) -> None:
+        """Room for the planes of that many queries."""
+        rows = queries * BUDGET
+        self.normals = np.empty((rows, 3))
+        self.offsets = np.empty(rows)
+        self.points = np.empty((rows, 3))
+        self.triangles = np.empty(rows, dtype=np.int64)
+        self.rules = np.empty(rows, dtype=np.int64)
+
+    def rows(self, first: int) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
+        """What is to be written to from row `first` on: the fields of `Planes` but the radius."""
+        fields = (self.normals, self.offsets, self.points, self.triangles, self.rules)
+        return tuple(field[first:] for field in fields) if first else fields  # type: ignore[return-value]
 
     def fill(
-        self, surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
+        self,
+        surface: Surface,
+        x: FloatArray,
+        radius: float,
+        standoff: float,
+        tip_radius: float,
+        first: int = 0,
     ) -> tuple[int, float]:
-        """Planes for a tip at x (3,): their number, and the radius they are valid in [m]."""
+        """Planes for a tip at x (3,) from row `first` on.
+
+        Returns:
+            How many, and the radius they are valid in [m].
+        """
         tree = surface.tree
         m, reach = _cover(
             tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
-            x, radius, standoff, tip_radius,
-            self.normals, self.offsets, self.points, self.triangles, self.rules,
+            x, radius, standoff, tip_radius, *self.rows(first),
         )  # fmt: skip
         return m, reach
 

@@ -39,6 +39,29 @@ class Fixture(Protocol):
         ...
 
 
+class Filling(Fixture, Protocol):
+    """A fixture that can write its planes where the controller wants them: no arrays are made."""
+
+    fills: bool  # whether it does
+
+    def fill(
+        self,
+        buffer: Buffer,
+        first: int,
+        x: FloatArray,
+        radius: float,
+        standoff: float,
+        tip_radius: float,
+    ) -> tuple[int, float] | None:
+        """`planes` for an x that is not inside, written to the buffer from row `first` on.
+
+        Returns:
+            How many, at most `vf.cover.BUDGET`, and the radius they are valid in [m]; None where
+            only `planes` can answer.
+        """
+        ...
+
+
 class MeshFixture:
     """Keeps the tool on its side of a mesh.
 
@@ -62,6 +85,7 @@ class MeshFixture:
         self.rule = rule
         self.radius = radius
         self.certified = rule in ("certified", "off")
+        self.fills = rule == "certified"
 
     def inside(self, x: FloatArray) -> bool:
         return self.rule != "off" and self.surface.inside(x)
@@ -88,13 +112,16 @@ class MeshFixture:
         return replace(planes, offsets=offsets, radius=radius)
 
     def fill(
-        self, buffer: Buffer, x: FloatArray, radius: float, standoff: float, tip_radius: float
+        self,
+        buffer: Buffer,
+        first: int,
+        x: FloatArray,
+        radius: float,
+        standoff: float,
+        tip_radius: float,
     ) -> tuple[int, float] | None:
-        """`planes` of the certified rule outside, into a buffer: their number and valid radius.
-
-        None where one walk of the tree does not answer; then ask `planes`.
-        """
-        m, reach = buffer.fill(self.surface, x, radius, standoff, tip_radius)
+        m, reach = buffer.fill(self.surface, x, radius, standoff, tip_radius, first)
+        # On the surface itself one walk of the tree does not answer.
         return None if reach == 0.0 and self.surface.closed else (m, reach)
 
     def _way_out(self, x: FloatArray, radius: float, clearance: float) -> Planes:

@@ -576,6 +576,43 @@ def test_several_fixtures_hold_together():
     assert step.radius == 2e-3
 
 
+class Aloof:
+    """A fixture that hands out arrays only, as one of the user's own would."""
+
+    def __init__(self, fixture):
+        self.radius, self.certified = fixture.radius, fixture.certified
+        self.planes, self.inside, self.depth = fixture.planes, fixture.inside, fixture.depth
+
+
+@pytest.mark.parametrize("aloof", [(True, True), (True, False), (False, True)])
+def test_it_is_the_same_to_the_bit_whether_fixtures_fill_the_buffer_or_not(aloof):
+    arm = robots.load("psm")
+    tip = arm.tip(arm.neutral).translation
+    wall = plate(tip[2] - 2e-3)
+    path = tip + np.array([[-0.02, 0.0, 0.0], [0.0, 5e-4, 0.0], [0.02, 0.0, 0.0]])
+    fixtures = [vf.MeshFixture(wall), vf.CorridorFixture(path, [0.0, 0.0, 1.0], 1e-3)]
+    asked = [Aloof(f) if a else f for f, a in zip(fixtures, aloof, strict=True)]
+    filled, given = (vf.Controller(arm, chosen) for chosen in (fixtures, asked))
+    rng = np.random.default_rng(12)
+    q = arm.neutral
+    rules = set()
+    for _ in range(40):
+        goal = pose(tip + rng.uniform(-1.0, 1.0, 3) * [8e-3, 4e-3, 5e-3], arm.tip(q).rotation)
+        for _ in range(10):
+            one, other = filled.step(q, goal), given.step(q, goal)
+            assert one.q.tobytes() == other.q.tobytes()
+            assert (one.status, one.solver) == (other.status, other.solver)
+            for name in ("normals", "offsets", "points", "triangles", "rules"):
+                a, b = getattr(one.planes, name), getattr(other.planes, name)
+                np.testing.assert_array_equal(a, b)
+            assert one.planes.radius == other.planes.radius
+            np.testing.assert_array_equal(one.multipliers, other.multipliers)
+            np.testing.assert_array_equal(one.force, other.force)
+            rules |= set(one.planes.rules.tolist())
+            q = one.q
+    assert {vf.Rule.FACE, vf.Rule.CORRIDOR} <= rules
+
+
 def test_warm_up_is_no_more_than_a_warm_up():
     arm = robots.load("psm")
     surface = plate(-0.12)
