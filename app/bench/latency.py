@@ -9,21 +9,18 @@ taken from the page's clock.
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.settings import View
-from app.bench.watcher import ARGUMENTS, NoBrowser, chromium
+from app.bench.watcher import Watcher, answer, browse
 
 PAUSE = 0.4  # between two drag events: the tool is at rest again by then [s]
 SETTLE = 3.0  # after the page has opened and before anything is measured [s]
@@ -58,66 +55,16 @@ _HOOK = """(() => {
 })()"""
 
 
-class Dragger:
+class Dragger(Watcher):
     """The other end of this module: starts the process and talks to it."""
 
     def __init__(self, url: str) -> None:
-        """Open the page.
+        """Open the page; raises as `Watcher` does."""
+        super().__init__(url, "app.bench.latency")
 
-        Raises:
-            NoBrowser: Playwright or Chromium is missing, or the page never drew.
-        """
-        chromium()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.bench.latency", url],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            self._answer()
-        except NoBrowser:
-            self.close()
-            raise
-
-    def __enter__(self) -> Dragger:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def tell(self, what: str, **more: Any) -> dict[str, Any]:
+    def ask(self, what: str, **more: Any) -> dict[str, Any]:
         """Ask for something and wait for the answer."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps({"do": what, **more}) + "\n")
-        self._process.stdin.flush()
-        return self._answer()
-
-    def close(self) -> None:
-        """End browser and process. Safe to call twice."""
-        if self._process.poll() is None:
-            assert self._process.stdin is not None
-            try:
-                self._process.stdin.close()  # ends the child's loop
-                self._process.wait(20)
-            except (OSError, subprocess.TimeoutExpired):
-                self._process.kill()
-                self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
-
-    def _answer(self) -> dict[str, Any]:
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        answer = json.loads(line) if line else {"error": "the browser's process ended"}
-        if "error" in answer:
-            raise NoBrowser(str(answer["error"]))
-        return dict(answer)
+        return self.tell(json.dumps({"do": what, **more}))
 
 
 def run(
@@ -151,19 +98,19 @@ def run(
         time.sleep(SETTLE)
         say(f"{options.drags} drag events")
         first, began = tap.count, time.perf_counter()
-        p, step = _arrow(page, dragger.tell("box"))
-        dragger.tell("drag", at=p.tolist(), by=step.tolist(), count=options.drags)
+        p, step = _arrow(page, dragger.ask("box"))
+        dragger.ask("drag", at=p.tolist(), by=step.tolist(), count=options.drags)
         dragging = summary(tap.since(first), time.perf_counter() - began, options.rate)
-        delays = delays_of(dragger.tell("log"))
+        delays = delays_of(dragger.ask("log"))
         advance(0.5)
         say(f"autopilot, {options.seconds:g} s")
         session.reset()
         session.set_autopilot(True)
         time.sleep(SETTLE)
         first, began = tap.count, time.perf_counter()
-        before = len(dragger.tell("log")["moved"])
+        before = len(dragger.ask("log")["moved"])
         time.sleep(options.seconds)
-        after = len(dragger.tell("log")["moved"])
+        after = len(dragger.ask("log")["moved"])
         elapsed = time.perf_counter() - began
         flying = summary(tap.since(first), elapsed, options.rate)
         advance(1.0)
@@ -208,7 +155,7 @@ def delays_of(log: dict[str, Any]) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def report(result: dict[str, Any], console: Any) -> None:
+def tell(result: dict[str, Any], console: Any) -> None:
     """The figures as text."""
     console.print(f"[bold]{result['what']}[/]: {result['triangles']:,} triangles")
     for name in (
@@ -256,40 +203,23 @@ def _matrix(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(pin.Quaternion(w, x, y, z).matrix())
 
 
-def _main(url: str) -> int:
-    if sys.platform.startswith("linux"):
-        # A user's browser is not started by the server and has no share in its priority.
-        os.setpriority(os.PRIO_PROCESS, 0, 0)
-    try:
-        from playwright.sync_api import Error, sync_playwright
-    except ImportError as error:
-        _say(error=f"Playwright is not installed ({error}): pip install 'vf-sandbox[bench]'")
-        return 1
-    try:
-        with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
-            # A software renderer cannot fill a screen's pixels in time; that is not ours to judge.
-            tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
-            tab.add_init_script(_HOOK)
-            tab.goto(url)
-            tab.wait_for_selector("canvas", timeout=60_000)
-            tab.get_by_text("Ready: drag the gizmo").wait_for(timeout=60_000)
-            _say(ready=True)
-            for line in sys.stdin:
-                order = json.loads(line)
-                if order["do"] == "box":
-                    box: Any = tab.locator("canvas").first.bounding_box()
-                    _say(**box)
-                elif order["do"] == "drag":
-                    _drag(tab, np.array(order["at"]), np.array(order["by"]), order["count"])
-                    _say()
-                else:
-                    _say(**tab.evaluate("window.vf"))
-            browser.close()
-    except (Error, NoBrowser) as error:
-        _say(error=" ".join(str(error).split())[:300])
-        return 1
-    return 0
+def _attend(browser: Any, url: str) -> None:
+    # A software renderer cannot fill a screen's pixels in time; that is not ours to judge.
+    tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
+    tab.add_init_script(_HOOK)
+    tab.goto(url)
+    tab.wait_for_selector("canvas", timeout=60_000)
+    tab.get_by_text("Ready: drag the gizmo").wait_for(timeout=60_000)
+    answer(ready=True)
+    for line in sys.stdin:
+        order = json.loads(line)
+        if order["do"] == "box":
+            answer(**tab.locator("canvas").first.bounding_box())
+        elif order["do"] == "drag":
+            _drag(tab, np.array(order["at"]), np.array(order["by"]), order["count"])
+            answer()
+        else:
+            answer(**tab.evaluate("window.vf"))
 
 
 def _drag(tab: Any, at: NDArray[np.float64], by: NDArray[np.float64], count: int) -> None:
@@ -304,9 +234,5 @@ def _drag(tab: Any, at: NDArray[np.float64], by: NDArray[np.float64], count: int
     tab.mouse.up()
 
 
-def _say(**answer: Any) -> None:
-    print(json.dumps(answer), flush=True)
-
-
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1]))
+    sys.exit(browse(lambda browser: _attend(browser, sys.argv[1])))

@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
 
 import meshes
+from app.bench import report
 from app.bench.machine import machine, percentiles, resident
 from app.bench.settings import Loop
 from app.bench.watcher import NoBrowser, Watcher
@@ -188,6 +191,42 @@ def summary(ticks: NDArray[np.float64], elapsed: float, rate: float) -> dict[str
         "punctual": float((late < LATE).sum()) / due,
         "longest stall [ms]": float(gaps.max()) * 1e3 if len(gaps) else float("nan"),
     }
+
+
+def tell(result: dict[str, Any], console: Console) -> None:
+    """The result as a table on a terminal."""
+    report.header(result, console)
+    console.print(f"mesh: {result['mesh']}; {result['browser']}")
+    start = result["start"]
+    console.print(
+        f"from the start of the session to the first tick {start['first tick [s]']:.1f} s, "
+        f"to the page {start['page [s]']:.1f} s"
+    )
+    table = Table(title="Control thread, by phase")
+    for name in (
+        "phase", "ticks", "rate [Hz]", "late p50 [µs]", "p99", "p99.9", "< 1 ms late",
+        "longest stall [ms]", "overruns", "tick p50 [µs]", "p99", "CPU", "no core",
+        "memory [MB]", "frames/s",
+    ):  # fmt: skip
+        table.add_column(name, justify="left" if name == "phase" else "right")
+    for row in result["phases"]:
+        late, tick, memory = row["late [us]"], row["tick [us]"], row["memory [MB]"]
+        table.add_row(
+            row["phase"],
+            f"{row['ticks']:,}",
+            f"{row['rate [Hz]']:.1f}",
+            *(f"{late[k]:.0f}" for k in ("p50", "p99", "p99.9")),
+            f"{100 * row['punctual']:.3f} %",
+            f"{row['longest stall [ms]']:.2f}",
+            str(row["overruns"]),
+            f"{tick['p50']:.0f}",
+            f"{tick['p99']:.0f}",
+            f"{100 * row['cpu']:.0f} %",
+            f"{100 * row['no core']:.1f} %" if row["no core"] is not None else "–",
+            f"{memory['start']:.0f} → {memory['end']:.0f}" if memory["start"] else "–",
+            f"{row['frames/s']:.1f}" if row["frames/s"] is not None else "–",
+        )
+    console.print(table)
 
 
 def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None:

@@ -110,42 +110,6 @@ def peers(result: dict[str, Any], console: Console) -> None:
         console.print(f"not compared: {name} ({why})")
 
 
-def loop(result: dict[str, Any], console: Console) -> None:
-    """Table of `bench loop`."""
-    header(result, console)
-    console.print(f"mesh: {result['mesh']}; {result['browser']}")
-    start = result["start"]
-    console.print(
-        f"from the start of the session to the first tick {start['first tick [s]']:.1f} s, "
-        f"to the page {start['page [s]']:.1f} s"
-    )
-    table = Table(title="Control thread, by phase")
-    for name in (
-        "phase", "ticks", "rate [Hz]", "late p50 [µs]", "p99", "p99.9", "< 1 ms late",
-        "longest stall [ms]", "overruns", "tick p50 [µs]", "p99", "CPU", "no core",
-        "memory [MB]", "frames/s",
-    ):  # fmt: skip
-        table.add_column(name, justify="left" if name == "phase" else "right")
-    for row in result["phases"]:
-        late, tick, memory = row["late [us]"], row["tick [us]"], row["memory [MB]"]
-        table.add_row(
-            row["phase"],
-            f"{row['ticks']:,}",
-            f"{row['rate [Hz]']:.1f}",
-            *(f"{late[k]:.0f}" for k in ("p50", "p99", "p99.9")),
-            f"{100 * row['punctual']:.3f} %",
-            f"{row['longest stall [ms]']:.2f}",
-            str(row["overruns"]),
-            f"{tick['p50']:.0f}",
-            f"{tick['p99']:.0f}",
-            f"{100 * row['cpu']:.0f} %",
-            f"{100 * row['no core']:.1f} %" if row["no core"] is not None else "–",
-            f"{memory['start']:.0f} → {memory['end']:.0f}" if memory["start"] else "–",
-            f"{row['frames/s']:.1f}" if row["frames/s"] is not None else "–",
-        )
-    console.print(table)
-
-
 def figure(result: dict[str, Any], file: Path) -> None:
     """Rate over triangles, both logarithmic, as the paper's Figure 7.
 

@@ -11,8 +11,9 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 # Software rendering; the rest keeps a container and its network out of the way.
 ARGUMENTS = (
@@ -51,9 +52,9 @@ def chromium() -> str:
 
 
 class Watcher:
-    """The other end of this module: starts the process and talks to it."""
+    """The other end of this module, or of one like it: starts the process and talks to it."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, module: str = "app.bench.watcher") -> None:
         """Open the page and wait until it draws.
 
         Raises:
@@ -61,7 +62,7 @@ class Watcher:
         """
         chromium()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.bench.watcher", url],
+            [sys.executable, "-m", module, url],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -72,7 +73,7 @@ class Watcher:
             self.close()
             raise
 
-    def __enter__(self) -> Watcher:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -115,51 +116,59 @@ class Watcher:
         return dict(answer)
 
 
-def _main(url: str) -> int:
+def browse(work: Callable[[Any], None]) -> int:
+    """In a process of its own: do some work with a browser; returns the exit code.
+
+    Whatever goes wrong with Playwright, Chromium or the page is the answer to who started it.
+    """
     if sys.platform.startswith("linux"):
         # A user's browser is not started by the server and has no share in its priority.
         os.setpriority(os.PRIO_PROCESS, 0, 0)
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
-        _say(error=f"Playwright is not installed ({error}): pip install 'vf-sandbox[bench]'")
+        answer(error=f"Playwright is not installed ({error}): pip install 'vf-sandbox[bench]'")
         return 1
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
-            pages = [_open(browser, url)]
-            pages[0].evaluate(_COUNT)
-            _say(ready=True)
-            for line in sys.stdin:
-                word = line.strip()
-                if word == "join":
-                    pages.append(_open(browser, url))
-                elif word == "leave" and len(pages) > 1:
-                    pages.pop().context.close()
-                elif word == "again":
-                    pages.pop(0).context.close()
-                    pages.insert(0, _open(browser, url))
-                    pages[0].evaluate(_COUNT)
-                elif word == "quit":
-                    break
-                _say(frames=pages[0].evaluate("window.seen"), pages=len(pages))
+            work(browser)
             browser.close()
     except (Error, NoBrowser) as error:
-        _say(error=" ".join(str(error).split())[:300])
+        answer(error=" ".join(str(error).split())[:300])
         return 1
     return 0
+
+
+def answer(**fields: Any) -> None:
+    """Answer the process that started this one."""
+    print(json.dumps(fields), flush=True)
+
+
+def _watch(browser: Any, url: str) -> None:
+    pages = [_open(browser, url)]
+    answer(ready=True)
+    for line in sys.stdin:
+        word = line.strip()
+        if word == "join":
+            pages.append(_open(browser, url))
+        elif word == "leave" and len(pages) > 1:
+            pages.pop().context.close()
+        elif word == "again":
+            pages.pop(0).context.close()
+            pages.insert(0, _open(browser, url))
+        elif word == "quit":
+            break
+        answer(frames=pages[0].evaluate("window.seen"), pages=len(pages))
 
 
 def _open(browser: Any, url: str) -> Any:
     page = browser.new_context(viewport={"width": 1200, "height": 800}).new_page()
     page.goto(url)
     page.wait_for_selector("canvas", timeout=60_000)
+    page.evaluate(_COUNT)
     return page
 
 
-def _say(**answer: Any) -> None:
-    print(json.dumps(answer), flush=True)
-
-
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1]))
+    sys.exit(browse(lambda browser: _watch(browser, sys.argv[1])))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from app.bench.settings import Loop, Meshes, Peers, Runtime, Soak, View
+from app.bench.watcher import NoBrowser
 from app.settings import OptionError, parse_as
 
 _KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes | Soak]] = {
@@ -19,6 +21,12 @@ _KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes | Soak]] = {
     "view": View,
     "meshes": Meshes,
     "soak": Soak,
+}
+_MODULES: dict[type, str] = {
+    Loop: "app.bench.loop",
+    View: "app.bench.latency",
+    Meshes: "app.bench.meshes",
+    Soak: "app.bench.soak",
 }
 USAGE_ERROR = 2
 WRONG_ANSWER = 1
@@ -43,14 +51,9 @@ def main(arguments: list[str]) -> int:
             return _runtime(options)
         if isinstance(options, Peers):
             return _peers(options)
-        if isinstance(options, View):
-            return _view(options)
-        if isinstance(options, Meshes):
-            return _meshes(options)
-        if isinstance(options, Soak):
-            return _soak(options)
-        return _loop(options)
-    except (OptionError, ValueError, OSError) as error:
+        result = _told(options, name, import_module(_MODULES[type(options)]))
+        return GREW if result.get("complaints") else 0
+    except (OptionError, ValueError, OSError, NoBrowser) as error:
         return _complain(str(error))
 
 
@@ -86,56 +89,15 @@ def _peers(options: Peers) -> int:
     return 0 if all(entry["agrees"] for entry in ours) else WRONG_ANSWER
 
 
-def _loop(options: Loop) -> int:
-    from app.bench import loop, report
+def _told(options: Loop | View | Meshes | Soak, name: str, module: Any) -> dict[str, Any]:
+    """Measure, tell and write what a module with `run` and `tell` has to say."""
     from app.bench.machine import write
 
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
-    result = _shown(console, lambda say, advance: loop.run(options, say, advance))
-    report.loop(result, console)
-    console.print(f"written: {write(options.out, 'loop', result)}")
-    return 0
-
-
-def _view(options: View) -> int:
-    from app.bench import latency
-    from app.bench.machine import write
-    from app.bench.watcher import NoBrowser
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
-    try:
-        result = _shown(console, lambda say, advance: latency.run(options, say, advance))
-    except NoBrowser as reason:
-        return _complain(str(reason))
-    latency.report(result, console)
-    console.print(f"written: {write(options.out, 'view', result)}")
-    return 0
-
-
-def _meshes(options: Meshes) -> int:
-    from app.bench import meshes
-    from app.bench.machine import write
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
-    result = _shown(console, lambda say, advance: meshes.run(options, say, advance))
-    meshes.tell(result, console)
-    console.print(f"written: {write(options.out, 'meshes', result)}")
-    return 0
-
-
-def _soak(options: Soak) -> int:
-    from app.bench import soak
-    from app.bench.machine import write
-    from app.bench.watcher import NoBrowser
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
-    try:
-        result = _shown(console, lambda say, advance: soak.run(options, say, advance))
-    except NoBrowser as reason:
-        return _complain(str(reason))
-    soak.tell(result, console)
-    console.print(f"written: {write(options.out, 'soak', result)}")
-    return GREW if result["complaints"] else 0
+    result = _shown(console, lambda say, advance: module.run(options, say, advance))
+    module.tell(result, console)
+    console.print(f"written: {write(options.out, name, result)}")
+    return result
 
 
 def _shown(
