@@ -142,4 +142,6 @@ class Hand:
             if phase == "end":
                 self._session.drive(self._session.handle, held=False)
         if phase == "end":
+            # Look once more: the view may have put the gizmo somewhere just as it was grabbed.
+            self._shown = None
             self._owner = None
