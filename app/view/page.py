@@ -227,11 +227,6 @@ class Page:
                 if time.monotonic() >= due:
                     due = time.monotonic() + READOUT
                     self._read_out()
-            except RuntimeError as error:
-                # viser pulses an asyncio event from our thread while its own may be leaving it. The
-                # message is in its buffer by then and goes out with the next one.
-                if "mutated during iteration" not in str(error):
-                    log.exception("a frame of the page failed")
             except Exception:
                 # One bad frame (a node removed under our hands) must not end the picture.
                 if self._stop.is_set():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import math
 import threading
@@ -335,8 +336,9 @@ class Panel:
             self._tell(client, f"Not changed: {error}")
         finally:
             self._building.release()
-            self._mesh.disabled = self._robot.disabled = False
-            self.sync()
+            with contextlib.suppress(RuntimeError):  # the page was closed meanwhile
+                self._mesh.disabled = self._robot.disabled = False
+                self.sync()
 
     def _progress(self, text: str) -> None:
         self._scene_note.content = (

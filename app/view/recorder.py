@@ -123,7 +123,7 @@ class RecordTab:
         """How the recording goes, and where the replay is."""
         tape, replay = self._session.tape, self._replay
         going = tape is not None and tape.running
-        # Controls are written here alone: viser may raise at writers from other threads.
+        # Controls are written here alone, so that no two threads write them in turns.
         self._refresh()
         if replay is not self._drawn:
             if replay is not None:
