@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 import tracemalloc
 
 import meshes
@@ -16,6 +17,7 @@ import meshes
 def main() -> None:
     for line in sys.stdin:
         reason = None
+        began = time.process_time()  # whatever else the machine does meanwhile
         tracemalloc.start()
         try:
             meshes.load(json.loads(line), unit="cm")
@@ -23,7 +25,7 @@ def main() -> None:
             reason = str(error)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        print(json.dumps([reason, peak]), flush=True)
+        print(json.dumps([reason, peak, time.process_time() - began]), flush=True)
 
 
 if __name__ == "__main__":

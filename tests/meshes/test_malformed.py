@@ -23,6 +23,7 @@ import meshes
 from meshes.load import FORMATS
 
 MEMORY = 150_000_000  # [byte] that refusing a small file may take
+TIME = 5.0  # [s]
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 PLY = (
@@ -276,13 +277,14 @@ class Reader:
         print(json.dumps(str(path)), file=self._process.stdin, flush=True)
         answer = self._process.stdout.readline()
         assert answer, f"the reader crashed: exit code {self._process.wait(10)}"
-        message, peak = json.loads(answer)
+        message, peak, spent = json.loads(answer)
         assert message is not None, "not refused"
         assert path.name in message
         assert "\n" not in message
         assert "root:" not in message  # of /etc/passwd
         assert "TOP SECRET" not in message
         assert peak < memory + 8 * len(content), f"{peak / 1e6:.0f} MB"
+        assert spent < TIME, f"{spent:.1f} s of processor time"
         return str(message)
 
 
@@ -296,7 +298,9 @@ def reader() -> Iterator[Reader]:
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_refused_in_one_line_and_bounded_memory(tmp_path: Path, reader: Reader, case: str) -> None:
+def test_refused_in_one_line_in_time_and_bounded_memory(
+    tmp_path: Path, reader: Reader, case: str
+) -> None:
     folder = tmp_path / "inside"
     folder.mkdir()
     (tmp_path / "secret.bin").write_bytes(BUFFER)  # sound, were it opened
