@@ -27,6 +27,11 @@ SUMMARIES = 4  # of the statistics, per second
 # 0.1 ms in the median at 20 µs, to 0.25 ms at 100 µs, and fell to 110 Hz at CPython's 5 ms; the
 # busy threads got through as much work in all three.
 SWITCH_INTERVAL = 2e-5
+# But every such wait has a price, 30 µs of a core on a slow virtual machine. There three threads
+# that wait in real time leave nothing to the one they wait for, and everything stands still. So a
+# wait takes at least this many times its price,
+THRIFT = 8.0
+LONGEST_INTERVAL = 5e-4  # [s], and no longer than this
 # Wake-ups are some 50 µs late, so the last stretch before a deadline is spent asking the clock;
 # other threads still get the interpreter within the switch interval [s].
 SPIN = 1e-4
@@ -188,7 +193,7 @@ class _quiet_interpreter(contextlib.ContextDecorator):
             cls._users += 1
             if cls._users == 1:
                 cls._interval = sys.getswitchinterval()
-                sys.setswitchinterval(SWITCH_INTERVAL)
+                sys.setswitchinterval(_switch_interval(_price_of_waiting()))
                 # A full collection walks every object of numba, viser and Pinocchio with the
                 # interpreter held, for tens of milliseconds, whichever thread sets it off. Frozen
                 # objects are not walked; new garbage is still collected, so nothing piles up.
@@ -202,6 +207,24 @@ class _quiet_interpreter(contextlib.ContextDecorator):
             if cls._users == 0:
                 gc.unfreeze()
                 sys.setswitchinterval(cls._interval)
+
+
+def _price_of_waiting() -> float:
+    """Processor time of a wait that is given up after `SWITCH_INTERVAL` [s]."""
+    lock = threading.Lock()
+    lock.acquire()
+    spent = []
+    for _ in range(5):
+        began = time.thread_time()
+        for _ in range(10):
+            lock.acquire(timeout=SWITCH_INTERVAL)
+        spent.append((time.thread_time() - began) / 10)
+    return sorted(spent)[2]
+
+
+def _switch_interval(price: float) -> float:
+    """How long a thread waits for the interpreter before it asks for it, by the price of that."""
+    return min(max(SWITCH_INTERVAL, THRIFT * price), LONGEST_INTERVAL)
 
 
 def prefer_this_process() -> None:

@@ -15,6 +15,7 @@ import pinocchio as pin
 import pytest
 
 import vf
+from app import loop as loops
 from app import scene as scenes
 from app.engine import Orders, Plant
 from app.loop import ControlLoop
@@ -163,3 +164,12 @@ def test_a_loop_that_never_started_closes(plant: Plant) -> None:
 def test_a_loop_needs_orders() -> None:
     with pytest.raises(ValueError, match="orders"):
         ControlLoop(Mailbox(), Mailbox(), 1e-3)
+
+
+def test_waiting_for_the_interpreter_never_costs_much_of_a_core() -> None:
+    price = loops._price_of_waiting()
+    assert 0.0 < price < 1e-2
+    for price in (0.0, 1e-6, 5e-6, 3e-5, 1e-3):
+        interval = loops._switch_interval(price)
+        assert loops.SWITCH_INTERVAL <= interval <= loops.LONGEST_INTERVAL
+        assert interval == loops.LONGEST_INTERVAL or interval >= loops.THRIFT * price
