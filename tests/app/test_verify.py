@@ -123,11 +123,12 @@ def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
     honest = Buffer.fill
 
-    def weakened(self, surface, x, radius, standoff, tip_radius):
-        m, reach = honest(self, surface, x, radius, standoff, tip_radius)
+    def weakened(self, surface, x, radius, standoff, tip_radius, first=0):
+        m, reach = honest(self, surface, x, radius, standoff, tip_radius, first)
         back = standoff + 5e-5
-        self.offsets[:m] -= back
-        self.points[:m] -= back * self.normals[:m]
+        normals, offsets, points, _, _ = self.rows(first)
+        offsets[:m] -= back
+        points[:m] -= back * normals[:m]
         return m, reach
 
     monkeypatch.setattr(Buffer, "fill", weakened)
