@@ -31,7 +31,7 @@ SWITCH_INTERVAL = 2e-5
 # that wait in real time leave nothing to the one they wait for, and everything stands still. So a
 # wait takes at least this many times its price,
 THRIFT = 8.0
-LONGEST_INTERVAL = 5e-4  # [s], and no longer than this
+LONGEST_INTERVAL = 2e-4  # [s], and no longer than this: a tick waits up to two of them
 # Wake-ups are some 50 µs late, so the last stretch before a deadline is spent asking the clock;
 # other threads still get the interpreter within the switch interval [s].
 SPIN = 1e-4
