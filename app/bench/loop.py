@@ -39,7 +39,8 @@ class Tap:
     """Notes start, lateness and duration of every tick of a control loop, without allocating."""
 
     def __init__(self, session: Session, room: int) -> None:
-        self._rows = np.zeros((room, 3))
+        # Written once, so that what it takes is not seen as growth while it is filled.
+        self._rows = np.full((room, 3), -1.0)
         self.count = 0
         # The loop tells views a summary per second; every single tick is nobody else's business.
         clock = session._loop._clock

@@ -13,4 +13,4 @@ def test_clients_that_come_and_go_for_five_minutes_leave_nothing(chromium: str) 
     result = soak.run(options, lambda text: None, lambda share: None)
     assert result["complaints"] == []
     assert result["visits"] >= 5
-    assert result["loop"]["ticks"] > 0.8 * 5 * 60 * 500
+    assert result["loop"]["longest stall [ms]"] < 30_000  # it never stopped for good
