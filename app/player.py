@@ -161,7 +161,10 @@ class Transport:
     def seek(self, at: float) -> None:
         """Rest at the row nearest to a time [s]: whoever asks has rounded it."""
         self.playing = False
-        self._from = float(self._times[np.abs(self._times - at).argmin()])
+        times = self._times
+        after = min(int(np.searchsorted(times, at)), len(times) - 1)
+        before = max(after - 1, 0)
+        self._from = float(times[after if times[after] - at <= at - times[before] else before])
 
     def _due(self) -> float:
         gone = (time.monotonic() - self._began) * self.speed if self.playing else 0.0

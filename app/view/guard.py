@@ -512,10 +512,12 @@ def _check() -> None:
         ),
         (_infra.websockets.asyncio.server, "serve"),
         (_infra.WebsockServer, "unregister_handler"),
-        *((AsyncMessageBuffer, name) for name in ("push", "atomic_end", "window_generator")),
+        (AsyncMessageBuffer, "push"),
         (viser.ViserServer, "request_share_url"),
     ]  # fmt: skip
     missing = [name for owner, name in wanted if not hasattr(owner, name)]
+    fields = inspect.signature(AsyncMessageBuffer).parameters
+    missing += [name for name in ("event_loop", "message_event") if name not in fields]
     taken = inspect.signature(websockets.asyncio.server.serve).parameters
     missing += [
         name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import html
 import math
 import threading
@@ -59,6 +58,7 @@ class Panel:
         layers: dict[str, tuple[bool, Callable[[bool], None]]],
     ) -> None:
         self._gui = server.gui
+        self._server = server
         self._session = session
         self._hand = hand
         self._tell = tell
@@ -336,9 +336,12 @@ class Panel:
             self._tell(client, f"Not changed: {error}")
         finally:
             self._building.release()
-            with contextlib.suppress(RuntimeError):  # the page was closed meanwhile
+            try:
                 self._mesh.disabled = self._robot.disabled = False
                 self.sync()
+            except RuntimeError:
+                if not self._server.get_event_loop().is_closed():
+                    raise  # else the page was closed meanwhile
 
     def _progress(self, text: str) -> None:
         self._scene_note.content = (

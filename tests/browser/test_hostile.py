@@ -27,13 +27,6 @@ def session() -> Iterator[Session]:
         yield session
 
 
-@pytest.fixture(scope="module")
-def page(session: Session) -> Iterator[Page]:
-    page = Page(session, "127.0.0.1", 0)
-    yield page
-    page.close()
-
-
 @pytest.fixture
 def attacker(page: Page) -> Iterator[ClientConnection]:
     with connect(

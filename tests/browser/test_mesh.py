@@ -28,13 +28,6 @@ def session(chromium: str) -> Iterator[Session]:
 
 
 @pytest.fixture(scope="module")
-def page(session: Session) -> Iterator[Page]:
-    page = Page(session, "127.0.0.1", 0)
-    yield page
-    page.close()
-
-
-@pytest.fixture(scope="module")
 def visitor(page: Page, open_tab: Callable[[Page], Visitor]) -> Visitor:
     visitor = open_tab(page)
     visitor.tab.get_by_role("tab", name="Mesh", exact=True).click()
