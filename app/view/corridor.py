@@ -14,7 +14,7 @@ from app.scene import DEFAULT_WIDTH, Scene, corridor
 from app.settings import RANGES
 from app.view import palette
 from app.view.feature import Stage
-from app.view.units import to_buffer
+from app.view.units import to_buffer, to_view
 
 HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
 BEYOND = 3e-3  # of the drawn walls before and after the path [m]
@@ -56,6 +56,14 @@ class CorridorControl:
             colors=palette.VERMILION,
             thickness=3.0,
             thickness_units="screen",
+            visible=path is not None,
+        )
+        self._api.add_label(
+            "/corridor/name",
+            "planned cut",
+            position=to_view(lines[0, 0]),
+            anchor="top-left",
+            font_screen_scale=0.8,
             visible=path is not None,
         )
         walls = None

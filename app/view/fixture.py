@@ -175,7 +175,7 @@ class FixtureDrawing:
                 node.scale = float(scales[most])
             head = centres[most] + 0.75 * radii[most] * normals[most]
             self._blocks.position = to_view(head)
-            self._blocks.text = f"blocks: pushes back {1e3 * strongest:.2g} mm"
+            self._blocks.text = f"blocks: takes {1e3 * strongest:.2g} mm off each step"
 
     def _draw_triangles(
         self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]

@@ -10,7 +10,7 @@ from app.view import palette
 from app.view.camera import DIRECTION
 from app.view.units import to_buffer, to_view
 
-FORCE_LENGTH = 0.01  # arrow length for each newton [m]
+FORCE_LENGTH = 0.005  # arrow length for each newton [m]: 3 N stay below the scale bar
 LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
 # The force mostly points along the instrument. At the tip the arrow would be inside it, so it is
 # drawn beside it, across the direction of the page's first view [m].
