@@ -245,7 +245,7 @@ def _walls(points: FloatArray, width: float) -> tuple[FloatArray, FloatArray, Fl
     return np.array(starts), np.array(ends), np.array(normals), np.array(sides, dtype=np.int64)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _closest(ax, ay, bx, by, x, y):  # type: ignore[no-untyped-def]
     """Closest point of a segment: its share of the way from a to b, itself, squared distance."""
     ux, uy = bx - ax, by - ay
@@ -256,7 +256,7 @@ def _closest(ax, ay, bx, by, x, y):  # type: ignore[no-untyped-def]
     return t, px, py, (x - px) ** 2 + (y - py) ** 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _room(starts, ends, normals, sides, x, y):  # type: ignore[no-untyped-def]
     """Signed distance to the nearest wall, the nearest point, and the normal that gave the sign."""
     best = np.inf
@@ -279,7 +279,7 @@ def _room(starts, ends, normals, sides, x, y):  # type: ignore[no-untyped-def]
     return distance, px, py, nx / size, ny / size
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _meets_at_valley(starts, ends, normals, sides, i, t):  # type: ignore[no-untyped-def]
     """Whether piece i goes on at the end t (0 or 1) with one that bends towards the corridor."""
     j = i - 1 if t == 0.0 else i + 1
@@ -289,7 +289,7 @@ def _meets_at_valley(starts, ends, normals, sides, i, t):  # type: ignore[no-unt
     return normals[i, 0] * (far[0] - starts[i, 0]) + normals[i, 1] * (far[1] - starts[i, 1]) > 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _planes(  # type: ignore[no-untyped-def]
     starts,
     ends,

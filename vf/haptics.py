@@ -8,7 +8,7 @@ from numba import njit
 from vf.planes import FloatArray
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def force(p_tool: FloatArray, p_proxy: FloatArray, gain: float, cap: float) -> FloatArray:
     """F = K (p_tool − p_proxy) [N], shortened to at most `cap` [N].
 

@@ -19,6 +19,10 @@ from vf.planes import FloatArray, IntArray
 
 LEAF = 6
 STACK = 256  # deeper than any tree: no split is worse than 1 : 9, see `build`
+# Nodes that `Surface.nearest` visits before it lets other threads have the interpreter. Few walks
+# take as many (some 10 µs), and to hand it over costs a tenth of a walk, far more if it is wanted.
+PATIENCE = 500
+UNFINISHED = -3
 
 
 class Tree(NamedTuple):
@@ -297,12 +301,14 @@ def within(tree, x, y, z, radius, triangles, points, features, distances):  # ty
 
 
 @njit(cache=True, nogil=True)
-def nearest(nodes, corners, x, y, z, limit, guess):  # type: ignore[no-untyped-def]
+def nearest(nodes, corners, x, y, z, limit, guess, patience):  # type: ignore[no-untyped-def]
     """Nearest triangle within `limit`: squared distance, row in tree order (−1: none), point.
 
     `guess` is a row to look at first, or −1: a tool that moves by micrometres stays near the same
     triangle, and knowing its distance halves the walk. The answer does not depend on it: of several
     triangles at the same distance the first row counts.
+
+    The walk is given up after `patience` nodes; the row is then `UNFINISHED`.
     """
     stack = np.empty(STACK, dtype=np.int32)
     lower = np.empty(STACK)
@@ -322,6 +328,9 @@ def nearest(nodes, corners, x, y, z, limit, guess):  # type: ignore[no-untyped-d
         depth -= 1
         if lower[depth] > best:
             continue
+        if patience == 0:
+            return best, UNFINISHED, bx, by, bz
+        patience -= 1
         node = stack[depth]
         link = nodes[node, 15]
         if link > 0.0:
@@ -351,27 +360,35 @@ def nearest(nodes, corners, x, y, z, limit, guess):  # type: ignore[no-untyped-d
     return best, row, bx, by, bz
 
 
-@njit(cache=True, nogil=True)
-def nearest_face(nodes, corners, order, p, limit, guess, point):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def nearest_face(nodes, corners, order, p, limit, guess, point, patience):  # type: ignore[no-untyped-def]
     """`nearest` for one call from Python: distance, the caller's index of the face, and the point.
 
     `guess` (1,) is read and then set to the row found. The face is −1 where there is none within
-    `limit`, −2 where p (3,) is not finite.
+    `limit`, −2 where p (3,) is not finite, `UNFINISHED` where patience was not enough.
     """
     if not np.isfinite(p[0] + p[1] + p[2]):
         return np.inf, -2
     d2, row, point[0], point[1], point[2] = nearest(
-        nodes, corners, p[0], p[1], p[2], limit, guess[0]
+        nodes, corners, p[0], p[1], p[2], limit, guess[0], patience
     )
     if row < 0:
-        return np.inf, -1
+        return np.inf, row
     guess[0] = row
     return np.sqrt(d2), order[row]
 
 
 @njit(cache=True, nogil=True)
+def nearest_face_freely(nodes, corners, order, p, limit, guess, point):  # type: ignore[no-untyped-def]
+    """`nearest_face` to the end, while other threads have the interpreter."""
+    return nearest_face(nodes, corners, order, p, limit, guess, point, -1)
+
+
+@njit(cache=True, nogil=True)
 def within_ball(nodes, corners, order, p, radius, triangles, points, features, distances):  # type: ignore[no-untyped-def]
-    """`within` for one call from Python."""
+    """`within` for one call from Python; −1 where p (3,) is not finite."""
+    if not np.isfinite(p[0] + p[1] + p[2]):
+        return -1
     return within(
         Tree(nodes, corners, order), p[0], p[1], p[2], radius,
         triangles, points, features, distances,

@@ -21,7 +21,7 @@ RECOVERY = 0.5
 SWEEPS = 16
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def usable(p, R):  # type: ignore[no-untyped-def]
     """Whether p (3,) is near enough and R (3, 3) a rotation: finite, orthonormal, right-handed."""
     for k in range(3):
@@ -40,7 +40,7 @@ def usable(p, R):  # type: ignore[no-untyped-def]
     return det > 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def rotation_log(R, w):  # type: ignore[no-untyped-def]
     """Rotation vector w (3,) [rad] of the rotation matrix R (3, 3), up to half a turn."""
     w[0] = 0.5 * (R[2, 1] - R[1, 2])
@@ -69,7 +69,7 @@ def rotation_log(R, w):  # type: ignore[no-untyped-def]
         w[j] *= scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _prepare(  # type: ignore[no-untyped-def]
     J, x, R, goal, R_goal, radius, length, q, lowest, highest, task, desired, lower, upper
 ):
@@ -104,7 +104,7 @@ def _prepare(  # type: ignore[no-untyped-def]
         upper[j] = max(highest[j] - q[j], 0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the planes; returns the nearest point's distance and the worst deficit.
 
@@ -164,7 +164,7 @@ def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, 
     return nearest, deficit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def pace(dq, reach, J, tip_reach):  # type: ignore[no-untyped-def]
     """Largest share ≤ 1 of the joint step dq (n,) that fits into a tick.
 
@@ -188,7 +188,7 @@ def pace(dq, reach, J, tip_reach):  # type: ignore[no-untyped-def]
     return share
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def farthest(J, reach):  # type: ignore[no-untyped-def]
     """How far the tip can go [m] when every joint goes as far as its reach (n,)."""
     far = 0.0
@@ -197,7 +197,7 @@ def farthest(J, reach):  # type: ignore[no-untyped-def]
     return far
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def obeys(normals, offsets, m, radius, x, y):  # type: ignore[no-untyped-def]
     """Whether the tip y is in the ball around x and on the allowed side of the first m planes."""
     d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
@@ -218,7 +218,7 @@ DESIRED, STANDOFF, TIP_RADIUS, LENGTH, DAMPING, GAIN, CAP, TIP_REACH = 0, 6, 7, 
 NUMBERS = 13
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def plan(  # type: ignore[no-untyped-def]
     q, T, J, goal, normals, offsets, points, rules, m, radius,
     table, numbers, G, b, scratch, multipliers, q_new,
@@ -262,7 +262,7 @@ def plan(  # type: ignore[no-untyped-def]
     return solver, count, nearest, deficit, moves
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def move(q, J, scratch, table, numbers, q_new):  # type: ignore[no-untyped-def]
     """q_new = q + the solver's step, shortened to what a tick allows; whether there is one."""
     n = q.shape[0]
@@ -276,7 +276,7 @@ def move(q, J, scratch, table, numbers, q_new):  # type: ignore[no-untyped-def]
     return moves
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def report(  # type: ignore[no-untyped-def]
     q_new, T, T_new, goal, normals, offsets, points, triangles, rules, m, radius,
     table, numbers, multipliers, check, whole, out,

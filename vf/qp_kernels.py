@@ -17,7 +17,7 @@ def scratch_size(n: int, rows: int) -> int:
     return n * n + 3 * n + rows * (n + WORDS)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, inline="always")
 def carve(scratch, n):  # type: ignore[no-untyped-def]
     """Parts: factor (n, n), best, x, dq (n,), rows (r, n), bounds, scales, y, origin (r,)."""
     rows = (scratch.shape[0] - n * n - 3 * n) // (n + WORDS)
@@ -37,7 +37,7 @@ def carve(scratch, n):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def reduce(  # type: ignore[no-untyped-def]
     J, d, damping, G, b, lower, upper, pace, m,
     factor, best, rows, bounds, scales, origin, dq,
@@ -140,7 +140,7 @@ def reduce(  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers):  # type: ignore[no-untyped-def]
     """Joint step and multipliers in the caller's coordinates."""
     n = x.shape[0]
@@ -156,7 +156,7 @@ def recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers):
             multipliers[int(origin[i])] = -y[i] * 1e-3 / scales[i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def mark_worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
     """Mark the row that u* breaks most as the only active one (y < 0)."""
     row = 0
@@ -172,7 +172,7 @@ def mark_worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
     y[row] = -1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped-def]
     """Project u* on the active rows (y < 0), all at once, and take that if it is the optimum.
 
@@ -261,7 +261,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
     return False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  # type: ignore[no-untyped-def]
     """All that can be had without OSQP for the first m rows of G: solver and 0, or rows for OSQP.
 
@@ -287,7 +287,7 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
     return 1, count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def finish(osqp_x, osqp_y, count, changes, lower, upper, scratch, multipliers):  # type: ignore[no-untyped-def]
     """OSQP's answer made exact by its active set, and taken back to the joints; whether it is."""
     n = osqp_x.shape[0]
@@ -299,7 +299,7 @@ def finish(osqp_x, osqp_y, count, changes, lower, upper, scratch, multipliers): 
     return exact
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def pack(scratch, count, values, low, linear):  # type: ignore[no-untyped-def]
     """The problem as OSQP wants it: A by columns, lower bounds, linear term."""
     n = linear.shape[0]

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vf import pdtree
+from vf.pdtree import PATIENCE, UNFINISHED, nearest_face, nearest_face_freely, within_ball
 from vf.planes import FloatArray, IntArray, checked_length, checked_point
 from vf.winding import Moments, moments, winding_number
 
@@ -151,15 +152,19 @@ class Surface:
 
     def within(self, x: ArrayLike, radius: float) -> Contacts:
         """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
-        p = checked_point(x)
-        checked_length("radius", radius)
+        p = np.asarray(x, dtype=np.float64)
+        if p.shape != (3,) or not 0.0 <= radius < np.inf:
+            checked_point(x)
+            checked_length("radius", radius)
         room = 256
         while True:
             triangles = np.empty(room, dtype=np.int64)
             points = np.empty((room, 3))
             features = np.empty(room, dtype=np.int8)
             distances = np.empty(room)
-            k = pdtree.within_ball(*self.tree, p, radius, triangles, points, features, distances)
+            k = within_ball(*self.tree, p, radius, triangles, points, features, distances)
+            if k < 0:
+                checked_point(x)
             if k <= room:
                 return Contacts(triangles[:k], points[:k], features[:k], distances[:k])
             room = k
@@ -173,7 +178,10 @@ class Surface:
         if p.shape != (3,):
             checked_point(x)
         point = np.empty(3)
-        distance, face = pdtree.nearest_face(*self.tree, p, limit, self._guess, point)
+        tree, guess = self.tree, self._guess
+        distance, face = nearest_face(*tree, p, limit, guess, point, PATIENCE)
+        if face == UNFINISHED:  # a point that has much of the surface at the same distance
+            distance, face = nearest_face_freely(*tree, p, limit, guess, point)
         if face < 0:
             return np.inf, -1, checked_point(x)
         return distance, face, point

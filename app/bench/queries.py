@@ -156,14 +156,25 @@ def nearest(bodies: Bodies, held: Holders) -> list[Peer]:
                 scene.find_closest_point(single[k], answer)
                 return answer
 
-            peers.append(
+            def read_fcpw(k: int, ask: Callable[[int], Any] = ask_fcpw) -> Any:
+                answer = ask(k)
+                return answer.d, answer.primitive_index, answer.p
+
+            name = "fcpw: find_closest_point" + (", vectorised" if wide else "")
+            peers += [
                 Peer(
-                    "fcpw: find_closest_point" + (", vectorised" if wide else ""),
+                    name,
                     ask_fcpw,
                     lambda r: (float(r.d), int(r.primitive_index)),
-                    "single precision",
-                )
-            )
+                    "single precision; an object yet to be read",
+                ),
+                Peer(
+                    f"{name}, read",
+                    read_fcpw,
+                    lambda r: (float(r[0]), int(r[1])),
+                    "single precision; distance, triangle, point",
+                ),
+            ]
     if held.igl is not None:
         rows = [np.ascontiguousarray(q[None]) for q in queries]
         faces, vertices = surface.faces, bodies.vertices
@@ -249,6 +260,14 @@ def ball(bodies: Bodies, held: Holders, radius: float) -> list[Peer]:
             return found
 
         peers += _objects("fcpw: intersect", ask_fcpw, _fcpw_triangles, "single precision")
+        peers.append(
+            Peer(
+                "fcpw: intersect, triangles and points read",
+                lambda k: [(one.primitive_index, one.p) for one in ask_fcpw(k)],
+                lambda found: np.sort([triangle for triangle, _ in found]),
+                "single precision; no distances",
+            )
+        )
     if held.coal is not None:
         coal, mesh, origin = held.coal, held.coal_mesh, held.coal.Transform3s()
         poses = [coal.Transform3s(np.eye(3), q) for q in queries]

@@ -225,7 +225,8 @@ def _power(options: Power, console: Console) -> int:
         table.add_row(name, f"{count} of {options.seeds}")
     console.print(table)
     broken = analysis.violations(outcomes)
-    console.print(f"{broken} violations in {sum(o.ticks for o in outcomes):,} ticks")
+    ticks = sum(o.ticks for o in outcomes if o.trial.assisted)
+    console.print(f"{broken} violations in {ticks:,} assisted ticks")
     return BROKEN if broken or both < ENOUGH * options.seeds else 0
 
 

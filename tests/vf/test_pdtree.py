@@ -5,9 +5,11 @@ from __future__ import annotations
 import naive
 import numpy as np
 import pytest
+import trimesh
 
 import vf
 from vf import pdtree
+from vf.pdtree import PATIENCE, UNFINISHED
 
 
 def _soups() -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -161,6 +163,21 @@ def test_the_nearest_triangle_does_not_depend_on_what_was_asked_before(name):
         assert (distance, triangle) == fresh[k][:2]
         assert (point == fresh[k][2]).all()
     assert surface.nearest(points[0] + 1.0, limit=1e-9)[1] == -1
+
+
+def test_a_walk_that_takes_long_ends_with_the_same_answer():
+    """In the middle of a ball all of the surface is at nearly one distance."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    surface = vf.Surface.from_arrays(ball.vertices, ball.faces)
+    x = np.zeros(3)
+    found = pdtree.nearest_face(*surface.tree, x, np.inf, np.full(1, -1), np.empty(3), PATIENCE)
+    assert found[1] == UNFINISHED
+    distance, triangle, point = surface.nearest(x)
+    exact = ball.triangles_center[triangle] @ ball.face_normals[triangle]
+    assert distance == pytest.approx(ball.face_normals[0] @ ball.triangles_center[0], rel=0.1)
+    assert distance == pytest.approx(np.linalg.norm(point), abs=1e-12)
+    assert distance == pytest.approx(exact, abs=1e-12)
+    assert distance <= (ball.triangles_center * ball.face_normals).sum(axis=1).min() + 1e-12
 
 
 def test_the_ball_is_closed():

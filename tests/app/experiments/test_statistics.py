@@ -1,5 +1,7 @@
 """Tests and effect sizes against their textbook formulas."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy import special
@@ -32,6 +34,14 @@ def test_pairs_by_their_formula() -> None:
     assert (c.t, c.degrees, c.p) == pytest.approx((t, 11, two_sided(t, 11)), rel=1e-9)
     assert c.effect == pytest.approx(d.mean() / d.std(ddof=1))
     assert welch(a, b).p > c.p  # the pairs are what makes it significant
+
+
+def test_equal_values_on_one_side_are_nothing_to_warn_of() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        c = welch([221.1, 221.1], [120.45, 121.55])
+    t = -100.1 / np.sqrt(np.var([120.45, 121.55], ddof=1) / 2)  # one degree of freedom is left
+    assert (c.t, c.degrees, c.p) == pytest.approx((t, 1.0, two_sided(t, 1.0)), rel=1e-6)
 
 
 def test_equal_samples_are_rarely_called_different() -> None:
