@@ -72,7 +72,9 @@ class ScenarioChoice:
             self._hand.submit(self._show_to, client)
 
     def set_scene(self, scene: Scene) -> None:
-        """The scene speaks for itself."""
+        """Another mesh or arm: what was loaded is there no longer."""
+        if not self._busy.locked():
+            self._tell_about()
 
     def frame(self, telemetry: Telemetry) -> None:
         """A scenario's scene is drawn: look at it as the scenario says."""
@@ -126,7 +128,13 @@ class ScenarioChoice:
 
     def _tell_about(self) -> None:
         chosen = self._scenarios.get(str(self._choice.value))  # clients may send anything
-        self._say("" if chosen is None else chosen.about, palette.BLACK)
+        shown = self._shown
+        if chosen is None:
+            self._say("", palette.BLACK)
+        elif shown and shown[0] is chosen and shown[1] == self._session.scene.version:
+            self._say(chosen.about, palette.BLACK)
+        else:
+            self._say(f"Load shows: {chosen.about}", palette.GREY)
 
     def _progress(self, text: str) -> None:
         self._say(f"⏳ {text} …", palette.BLUE)

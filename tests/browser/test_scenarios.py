@@ -73,7 +73,8 @@ def test_picks_a_scenario_reads_its_sentence_and_sees_it(
     visitor: Visitor, session: Session
 ) -> None:
     visitor.choose("Show", "valley-of-the-gear")
-    reads(visitor, "valley-of-the-gear")
+    offered = f"Load shows: {PRESETS['valley-of-the-gear'].about}"
+    visitor.tab.get_by_text(offered, exact=True).wait_for(timeout=30_000)
     assert session.scene.mesh_name == "thin-plate"  # only looked at so far
     visitor.press("Load")
     wait_until(lambda: session.scene.mesh_name == "gear", "the gear")
