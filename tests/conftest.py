@@ -1,6 +1,8 @@
-"""What all tests share: how they are spread over two processes."""
+"""What all tests share: how they are spread over two processes, and kernels as they are now."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling
@@ -20,3 +22,21 @@ class ByFile(LoadScopeScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
     return ByFile(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        _forget_stale_kernels(Path(__file__).parent.parent / "vf")
+
+
+def _forget_stale_kernels(package: Path) -> None:
+    """Drop compiled kernels that are older than any kernel's source.
+
+    Numba looks at the file of the function it compiled, not at those of the functions that were
+    compiled into it: a change of `closest.py` would leave the tree as it was.
+    """
+    sources = [p for p in package.glob("*.py") if "@njit" in p.read_text()]
+    newest = max(p.stat().st_mtime for p in sources)
+    for index in package.glob("__pycache__/*.nbi"):
+        if index.stat().st_mtime < newest:
+            index.unlink(missing_ok=True)
