@@ -26,17 +26,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
 
 def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
-        _forget_stale_kernels(Path(__file__).parent.parent / "vf")
+        _forget_stale_kernels(Path(__file__).parent.parent)
 
 
-def _forget_stale_kernels(package: Path) -> None:
-    """Drop compiled kernels that are older than any kernel's source.
+def _forget_stale_kernels(root: Path) -> None:
+    """Drop compiled kernels that are older than the source of any kernel in `vf`.
 
     Numba looks at the file of the function it compiled, not at those of the functions that were
     compiled into it: a change of `closest.py` would leave the tree as it was.
     """
-    sources = [p for p in package.glob("*.py") if "@njit" in p.read_text()]
+    sources = [p for p in root.glob("vf/*.py") if "@njit" in p.read_text()]
     newest = max(p.stat().st_mtime for p in sources)
-    for index in package.glob("__pycache__/*.nbi"):
-        if index.stat().st_mtime < newest:
-            index.unlink(missing_ok=True)
+    for package in ("vf", "meshes", "app"):
+        for index in root.glob(f"{package}/**/__pycache__/*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
