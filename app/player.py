@@ -15,7 +15,7 @@ from app import replay
 from app import scene as scenes
 from app.engine import Plant
 from app.messages import LoopStats, Telemetry
-from app.record import Recording
+from app.recording.format import Recording
 from app.scene import Progress, Scene
 from app.settings import Options
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app import record
 from app import scene as scenes
 from app.engine import Engine, Orders, Plant
 from app.messages import Command, LoopStats, Telemetry
-from app.record import Recording, RecordingError
+from app.recording.format import CHUNK, COMPARED, ROWS, Recording, RecordingError
+from app.recording.rows import command as command_of
+from app.recording.rows import fill
 from app.scene import Progress, Scene
 from app.settings import Options, check_names
 
@@ -53,7 +54,7 @@ def run_headless(
 
 @dataclass(frozen=True)
 class Difference:
-    """Where a repetition first departs from its recording: row, tick, column of `record.ROWS`."""
+    """Where a repetition first departs from its recording: row, tick, column of `ROWS`."""
 
     row: int
     tick: int
@@ -116,10 +117,10 @@ def rerun(
 
 
 def orders_of(noted: np.void, plant: Plant) -> Orders:
-    """The orders of a row of `record.ORDERS`."""
+    """The orders of a row of `ORDERS`."""
     return Orders(
         plant=plant,
-        command=record.command(noted),
+        command=command_of(noted),
         paused=bool(noted["paused"]),
         steps=int(noted["steps"]),
         resets=int(noted["resets"]),
@@ -166,15 +167,15 @@ def first_difference(
     path: str | None = None,
     progress: Progress | None = None,
 ) -> Difference | None:
-    """Re-run a recording and compare every column of `record.COMPARED` bit for bit.
+    """Re-run a recording and compare every column of `COMPARED` bit for bit.
 
     Args and errors are those of `rerun`. None: there is no difference.
     """
-    table = np.zeros(record.CHUNK, dtype=record.ROWS)
+    table = np.zeros(CHUNK, dtype=ROWS)
     before = None
     filled = start = 0
     for order, telemetry, ticked in rerun(recording, mesh, path, progress):
-        record.fill(table, filled, order, telemetry, ticked, before)
+        fill(table, filled, order, telemetry, ticked, before)
         before = telemetry.step
         filled += 1
         if filled == len(table) or start + filled == len(recording.rows):
@@ -186,9 +187,9 @@ def first_difference(
 
 
 def compare(recorded: np.ndarray, repeated: np.ndarray) -> Difference | None:
-    """The first difference between two tables (n,) of `record.ROWS`, in the columns' order."""
+    """The first difference between two tables (n,) of `ROWS`, in the columns' order."""
     first: tuple[int, str] | None = None
-    for name in record.COMPARED:
+    for name in COMPARED:
         ours, theirs = (
             np.ascontiguousarray(table[name]).view(np.uint8).reshape(len(table), -1)
             for table in (recorded, repeated)

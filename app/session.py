@@ -24,7 +24,7 @@ from app.engine import Orders
 from app.loop import ControlLoop
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
-from app.record import RecordingError
+from app.recording.format import RecordingError
 from app.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, check_names, in_range
 from app.tape import Tape

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 import vf
-from app.record import JOINTS, Recording, RecordingError
+from app.recording.format import JOINTS, Recording, RecordingError
 from app.settings import format_length
 
 HEADING = (

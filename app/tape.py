@@ -9,7 +9,8 @@ from pathlib import Path
 
 from app.engine import Orders, State
 from app.messages import Telemetry
-from app.record import Recorder, RecordingError
+from app.recording.format import RecordingError
+from app.recording.write import Recorder
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from rich.markup import escape
 from app.settings import OptionError, parse_as
 
 if TYPE_CHECKING:
-    from app.record import Recording
+    from app.recording.format import Recording
 
 SAME, DIFFERENT, USAGE_ERROR = 0, 1, 2
 ABOUT = """Repeat a recorded session: the same orders to a fresh engine, without page and clock.
@@ -54,9 +54,10 @@ def main(arguments: list[str]) -> int:
 
 def run(options: Replay, console: Console) -> int:
     """Do it and print what came of it; returns the exit code."""
-    from app import record, replay
+    from app import replay
+    from app.recording.read import read
 
-    recording = record.read(options.file)
+    recording = read(options.file)
     for line in summary(recording):
         console.print(escape(line))
     if options.csv is not None:
@@ -84,7 +85,7 @@ def run(options: Replay, console: Console) -> int:
 
 def summary(recording: Recording) -> list[str]:
     """What is in it, a line each."""
-    from app import record
+    from app.recording.write import packages
 
     ticks = int(recording.rows["ticked"].sum())
     lines = [
@@ -97,7 +98,7 @@ def summary(recording: Recording) -> list[str]:
     ]
     if recording.note:
         lines.append(f"The recording ended because {recording.note}.")
-    here = record.packages()
+    here = packages()
     other = [
         f"{name} {version} (here {here.get(name, 'none')})"
         for name, version in recording.packages.items()

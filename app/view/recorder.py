@@ -17,9 +17,10 @@ import viser
 from numpy.typing import NDArray
 from PIL import Image
 
-from app import record
 from app.messages import Telemetry
 from app.player import Moment, Player, Transport, build_scenes
+from app.recording.format import SUFFIX
+from app.recording.read import read
 from app.scene import Scene
 from app.session import Refused
 from app.view import palette
@@ -166,12 +167,12 @@ class RecordTab:
             raise Refused(f"there are {MOST} recordings in {place}: delete some first")
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
         name = harmless(f"{stamp}_{self._session.scene.mesh_name}")
-        self._session.record(place / f"{name}{record.SUFFIX}")
+        self._session.record(place / f"{name}{SUFFIX}")
 
     def _start(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
         self._doing = f"Opening {path.name} …"
-        recording = record.read(path)
+        recording = read(path)
         if not len(recording.rows):
             raise Refused("the recording holds no tick")
         self._opened += 1
@@ -299,7 +300,7 @@ class Replay:
 
 def recordings() -> list[Path]:
     """The files in the folder, the oldest first."""
-    return sorted(folder().glob(f"*{record.SUFFIX}"))
+    return sorted(folder().glob(f"*{SUFFIX}"))
 
 
 def picture(client: viser.ClientHandle) -> NDArray[np.uint8]:

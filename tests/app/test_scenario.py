@@ -21,13 +21,14 @@ from scipy.spatial import ConvexHull
 import meshes
 import vf
 from app import __main__ as main
-from app import record, replay
+from app import replay
 from app import scene as scenes
 from app.autopilot import Course
 from app.course import course, present, stage
 from app.engine import Engine, Orders
 from app.messages import Command, LoopStats, Telemetry
 from app.presets import PRESETS, find
+from app.recording.read import read as read_recording
 from app.scenario import SETTINGS, Scenario, ScenarioError, Waypoint, dumps, loads, read, write
 from app.scene import Scene
 from app.session import Session
@@ -517,7 +518,7 @@ def test_a_recorded_scenario_is_repeated_bit_for_bit(
         wait_until(lambda: not session.latest().autopilot)
         session.stop_recording()
     assert tape.rows > 1500
-    recording = record.read(tmp_path / "plate.vfrec")
+    recording = read_recording(tmp_path / "plate.vfrec")
     assert any(way is not None for way in recording.courses)
     assert replay.first_difference(recording) is None
     # And only because the course is in it.

@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 from watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
-from app import record, replay
+from app import replay
+from app.recording.read import read
 from app.session import Session
 from app.settings import Options
 from app.view import Page, recorder
@@ -74,7 +75,7 @@ def test_a_user_records_replays_scrubs_and_takes_pictures(
     visitor.press("Stop recording")
     wait_until(lambda: not session.tape.running, "the file")
     visitor.tab.get_by_text("Recorded ").first.wait_for(timeout=20_000)
-    recording = record.read(session.tape.path)
+    recording = read(session.tape.path)
     assert recording.rows["planes"].max() > 0
     assert replay.first_difference(recording) is None
     visitor.picture("recorded")

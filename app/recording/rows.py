@@ -1,0 +1,67 @@
+"""Rows of a recording's tables: a tick is written into one, a command is read from one."""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import vf
+from app.messages import Command, Telemetry
+from app.recording.format import JOINTS
+
+
+def fill(
+    rows: NDArray[Any],
+    k: int,
+    order: int,
+    telemetry: Telemetry,
+    ticked: bool,
+    before: vf.Step | None,
+) -> None:
+    """Write a tick into row k of a table of `ROWS`; `before` is the step of the row before."""
+    q = np.zeros(JOINTS)
+    q[: len(telemetry.q)] = telemetry.q
+    target, step = telemetry.target, telemetry.step
+    goal, turns = np.zeros(3), 0
+    if target is not None:
+        goal, turns = target.translation, zlib.crc32(target.rotation.tobytes())
+    head = (order, ticked, telemetry.tick, q, target is not None, goal, telemetry.stale)
+    if step is None or step is before:
+        rows[k] = (*head, False, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, turns, 0, 0, 0.0)
+        return
+    planes = step.planes
+    crc = zlib.crc32(planes.normals.tobytes())
+    for array in (planes.offsets, planes.points, planes.triangles, planes.rules):
+        crc = zlib.crc32(array.tobytes(), crc)
+    crc = zlib.crc32(np.float64(planes.radius).tobytes(), crc)
+    rows[k] = (
+        *head,
+        True,
+        step.tip.translation,
+        step.force,
+        step.status,
+        step.solver,
+        step.distance,
+        step.radius,
+        len(planes),
+        zlib.crc32(step.tip.rotation.tobytes(), turns),
+        crc,
+        zlib.crc32(step.limits.tobytes(), zlib.crc32(step.multipliers.tobytes())),
+        step.timings.total,
+    )
+
+
+def command(order: np.void) -> Command:
+    """The command of a row of `ORDERS`."""
+    target = pin.SE3(order["rotation"], order["target"]) if order["driven"] else None
+    return Command(
+        target,
+        int(order["sequence"]),
+        bool(order["clutch"]),
+        bool(order["held"]),
+        float(order["stamp"]),
+    )

@@ -1,0 +1,117 @@
+"""The file holds what the loop said; what keeps it from being written does not stop the loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app import replay, tape
+from app.mailbox import Mailbox
+from app.recording.format import RecordingError
+from app.recording.read import read
+from app.recording.write import Recorder
+from app.session import Refused, Session
+from app.settings import Options
+
+CUBE = Options(mesh="cube", robot="point")
+Wait = Callable[[Callable[[], bool]], None]
+
+
+def test_the_file_holds_what_the_loop_said(
+    tmp_path: Path, tape: type[Mailbox], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from app import session as sessions
+
+    tapes: list = []
+
+    def recorded(value: object = None) -> Mailbox:
+        tapes.append(tape(value))
+        return tapes[-1]
+
+    monkeypatch.setattr(sessions, "Mailbox", recorded)
+    session = Session(CUBE)
+    session.record(tmp_path / "run.vfrec")
+    with session:
+        start = session.scene.T_base_start
+        session.drive(pin.SE3(start.rotation, start.translation - [0.0, 0.001, 0.03]))
+        while session.latest().tick < 120:
+            time.sleep(1e-3)
+    said = tapes[1].items[1:]
+    recording = read(tmp_path / "run.vfrec")
+    assert recording.rows["tick"].tolist() == [t.tick for t in said]
+    assert recording.rows["q"][:, :3].tobytes() == np.array([t.q for t in said]).tobytes()
+    assert (recording.rows["q"][:, 3:] == 0.0).all()
+    force = np.array([t.step.force for t in said])
+    assert recording.rows["force"].tobytes() == force.tobytes()
+    assert np.abs(force).max() > 0.0
+    assert [recording.joints(k).tolist() for k in (-1, 5)] == [
+        session.scene.start.tolist(),
+        said[5].q.tolist(),
+    ]
+
+
+def test_nothing_is_written_over(sound: Path) -> None:
+    before = sound.read_bytes()
+    with pytest.raises(RecordingError, match="exists already"):
+        Recorder(sound)
+    session = Session(CUBE)
+    with pytest.raises(Refused, match="exists already"):
+        session.record(sound)
+    with pytest.raises(Refused, match="nothing is being recorded"):
+        session.stop_recording()
+    assert sound.read_bytes() == before
+
+
+def test_one_recording_at_a_time(tmp_path: Path, wait_until: Wait) -> None:
+    with Session(CUBE) as session:
+        going = session.record(tmp_path / "a.vfrec")
+        with pytest.raises(Refused, match="under way"):
+            session.record(tmp_path / "b.vfrec")
+        wait_until(lambda: going.rows > 0)
+        done = session.stop_recording()
+        assert not done.running
+        assert done.rows > 0
+        again = session.record(tmp_path / "b.vfrec")
+        wait_until(lambda: again.rows > 0)
+    assert {p.name for p in tmp_path.iterdir()} == {"a.vfrec", "b.vfrec"}
+    assert replay.first_difference(read(tmp_path / "b.vfrec")) is None
+
+
+def test_a_writer_that_falls_behind_ends_the_recording_not_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Wait
+) -> None:
+    monkeypatch.setattr(tape, "BEHIND", 5)
+    monkeypatch.setattr(tape, "PERIOD", 0.1)
+    with Session(CUBE) as session:
+        going = session.record(tmp_path / "a.vfrec")
+        wait_until(lambda: not going.running)
+        assert "behind" in going.note
+        tick = session.latest().tick
+        wait_until(lambda: session.latest().tick > tick + 20)
+    recording = read(tmp_path / "a.vfrec")
+    assert len(recording.rows) >= 1
+    assert "behind" in recording.note
+    assert replay.first_difference(recording) is None
+
+
+def test_a_full_disk_ends_the_recording_not_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Wait
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Recorder, "_table", full)
+    with Session(CUBE) as session:
+        going = session.record(tmp_path / "a.vfrec")
+        wait_until(lambda: going.rows > 0)
+        with_reason = session.stop_recording()
+        assert with_reason is going
+        assert "No space left" in going.outcome
+        tick = session.latest().tick
+        wait_until(lambda: session.latest().tick > tick + 20)
+    assert not list(tmp_path.iterdir())
