@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import errno
 import importlib
 import importlib.util
+import os
 import pkgutil
 import signal
 import socket
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from types import FrameType, TracebackType
 
 from rich.console import Console
@@ -88,14 +91,17 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
                     step.done()
                     for note in session.scene.notes:
                         console.print(f"  [yellow]![/] {escape(note)}")
-                    console.print(
-                        f"Ready after {time.perf_counter() - began:.1f} s. "
-                        f"Open [bold]{escape(page.url)}[/] (Ctrl-C ends)",
-                        soft_wrap=True,
-                    )
-                    if page.warning:
-                        console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
-                    return _wait(console)
+                    with _interrupts() as wait:
+                        console.print(
+                            f"Ready after {time.perf_counter() - began:.1f} s. "
+                            f"Open [bold]{escape(page.url)}[/] (Ctrl-C ends)",
+                            soft_wrap=True,
+                        )
+                        if page.warning:
+                            console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
+                        wait()
+                        console.print("Closing.")
+                    return 0
                 finally:
                     page.close()
                     if tape is not None:
@@ -150,12 +156,40 @@ def _wanted(words: list[str]) -> tuple[Options, Scenario | None]:
     return options, scenario
 
 
-def _wait(console: Console) -> int:
+@contextlib.contextmanager
+def _interrupts() -> Iterator[Callable[[], object]]:
+    """Ctrl-C and SIGTERM as something to wait for; a second one interrupts the closing.
+
+    As exceptions they would be lost where one comes in a callback that another library made, and
+    some are made all the time.
+    """
+    heard, ring = os.pipe()
+    # What the process was started to ignore stays ignored.
+    numbers = [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(number) not in (signal.SIG_IGN, None)
+    ]
+
+    def tell(number: int, frame: FrameType | None) -> None:
+        os.write(ring, b".")
+
+    before = [signal.signal(number, tell) for number in numbers]
+
+    def wait() -> None:
+        os.read(heard, 1)
+        restore()
+
+    def restore() -> None:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
     try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        console.print("Closing.")
-    return 0
+        yield wait
+    finally:
+        restore()
+        os.close(heard)
+        os.close(ring)
 
 
 def _command(name: str, rest: list[str]) -> int:
