@@ -13,6 +13,7 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
+from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.session import Session
 from app.view import who
 from app.view.proxy import Proxy
@@ -40,8 +41,11 @@ class Hand:
         self._server = server
         self._proxy = proxy
         self._tell = tell
-        # Session methods may wait for a lock; the event loop must not. One worker keeps order.
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="hand")
+        # Session methods may wait for a lock; the event loop must not. One worker keeps order. Like
+        # the page's other threads it may not be put aside with the interpreter in its hands.
+        self._worker = ThreadPoolExecutor(
+            1, "hand", initializer=prefer_this_thread, initargs=(VIEW_PRIORITY,)
+        )
         self._owner: int | None = None  # written by the worker only
         self._shown: pin.SE3 | None = session.handle  # where the gizmo is on the clients' pages
         self._complained = False
