@@ -149,16 +149,20 @@ def place(
     return transformed(AUTOMATIC.pose(vertices, T_base_tip_neutral, gap), vertices)
 
 
-def display(vertices: FloatArray, faces: NDArray[np.int64], limit: int = 100_000) -> Display:
-    """A copy to draw, of at most ``limit`` triangles; the arrays themselves if they are few enough.
+def display(
+    vertices: FloatArray, faces: NDArray[np.int64], limit: int = 60_000, exact: int = 100_000
+) -> Display:
+    """What to draw: the arrays themselves up to ``exact`` triangles, else a copy of ``limit``.
 
-    Control always queries the full mesh. Quadric decimation keeps the shape within a fraction of
-    an edge; degenerate leftovers do not matter to a drawing. A mesh that will not shrink (open
-    edges everywhere) is thinned by dropping triangles evenly, so that the limit always holds.
+    Control always queries the full mesh. A browser without a graphics card needs 1 ms for every
+    thousand triangles, so where the mesh is too large to be drawn as it is, a light copy does.
+    Quadric decimation keeps the shape within a fraction of an edge; degenerate leftovers do not
+    matter to a drawing. A mesh that will not shrink (open edges everywhere) is thinned by dropping
+    triangles evenly, so that the limit always holds.
     """
     if limit < 4:
         raise ValueError(f"limit must be at least 4 triangles, not {limit}")
-    if len(faces) <= limit:
+    if len(faces) <= max(limit, exact):
         return Display(vertices, faces, False)
     thinned = thin(vertices, faces, limit)
     if thinned is None or not 0 < len(thinned[1]) <= limit:

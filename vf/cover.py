@@ -79,9 +79,12 @@ def certified_planes(
 def cover(
     surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
-    """`certified_planes` for the control tick, where the arguments are known to be sound."""
-    planes = Buffer()
-    m, reach = planes.fill(surface, x, radius, standoff, tip_radius)
+    """`certified_planes` for arguments that are known to be sound."""
+    planes, tree = Buffer(), surface.tree
+    m, reach = _cover(
+        tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
+        x, radius, standoff, tip_radius, *planes.rows(0),
+    )  # fmt: skip
     return planes.cut(m, reach)
 
 
@@ -113,11 +116,15 @@ class Buffer:
     ) -> tuple[int, float]:
         """Planes for a tip at x (3,) from row `first` on.
 
+        Other threads get the interpreter only afterwards. To wait for it once more in the middle of
+        a tick would often take longer than the walk; a thread that has others to share with calls
+        `certified_planes`.
+
         Returns:
             How many, and the radius they are valid in [m].
         """
         tree = surface.tree
-        m, reach = _cover(
+        m, reach = _cover_held(
             tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
             x, radius, standoff, tip_radius, *self.rows(first),
         )  # fmt: skip
@@ -415,6 +422,18 @@ def _cover(  # type: ignore[no-untyped-def]
         rules[m] = rule
         m += 1
     return m, valid
+
+
+@njit(cache=True)
+def _cover_held(  # type: ignore[no-untyped-def]
+    nodes, corners, order, edges, rounding, p, radius, standoff, tip_radius,
+    normals, offsets, points, triangles, rules,
+):  # fmt: skip
+    """`_cover` without letting go of the interpreter."""
+    return _cover(
+        nodes, corners, order, edges, rounding, p, radius, standoff, tip_radius,
+        normals, offsets, points, triangles, rules,
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
