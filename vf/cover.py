@@ -80,11 +80,8 @@ def cover(
     surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
     """`certified_planes` for arguments that are known to be sound."""
-    planes, tree = Buffer(), surface.tree
-    m, reach = _cover(
-        tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
-        x, radius, standoff, tip_radius, *planes.rows(0),
-    )  # fmt: skip
+    planes = Buffer()
+    m, reach = planes.fill(surface, x, radius, standoff, tip_radius, sharing=True)
     return planes.cut(m, reach)
 
 
@@ -113,18 +110,20 @@ class Buffer:
         standoff: float,
         tip_radius: float,
         first: int = 0,
+        sharing: bool = False,
     ) -> tuple[int, float]:
         """Planes for a tip at x (3,) from row `first` on.
 
-        Other threads get the interpreter only afterwards. To wait for it once more in the middle of
-        a tick would often take longer than the walk; a thread that has others to share with calls
-        `certified_planes`.
+        Args:
+            sharing: other threads get the interpreter meanwhile. In a tick they do not: to wait for
+                it once more would often take longer than the walk.
 
         Returns:
             How many, and the radius they are valid in [m].
         """
         tree = surface.tree
-        m, reach = _cover_held(
+        kernel = _cover if sharing else _cover_held
+        m, reach = kernel(
             tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
             x, radius, standoff, tip_radius, *self.rows(first),
         )  # fmt: skip

@@ -123,8 +123,8 @@ def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
     honest = Buffer.fill
 
-    def weakened(self, surface, x, radius, standoff, tip_radius, first=0):
-        m, reach = honest(self, surface, x, radius, standoff, tip_radius, first)
+    def weakened(self, surface, x, radius, standoff, tip_radius, first=0, sharing=False):
+        m, reach = honest(self, surface, x, radius, standoff, tip_radius, first, sharing)
         back = standoff + 5e-5
         normals, offsets, points, _, _ = self.rows(first)
         offsets[:m] -= back
