@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from app import session as sessions
 from app.mailbox import Mailbox
 
 
@@ -79,6 +80,19 @@ def oracle() -> type[Oracle]:
 @pytest.fixture(scope="session")
 def tape() -> type[Tape]:
     return Tape
+
+
+@pytest.fixture
+def tapes(monkeypatch: pytest.MonkeyPatch) -> list[Tape]:
+    """The mailboxes of the sessions to come, all they were given: orders, then telemetry."""
+    made: list[Tape] = []
+
+    def recorded(value: object = None) -> Tape:
+        made.append(Tape(value))
+        return made[-1]
+
+    monkeypatch.setattr(sessions, "Mailbox", recorded)
+    return made
 
 
 @pytest.fixture(scope="session")

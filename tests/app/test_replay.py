@@ -14,8 +14,6 @@ import meshes
 import robots
 import vf
 from app import scene as scenes
-from app import session as sessions
-from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
 from app.replay import run_headless
 from app.session import Session
@@ -111,18 +109,10 @@ def test_the_tool_stays_out_of_everything_with_every_arm(
 
 
 def test_a_live_session_is_repeated_from_its_record(
-    tape: type[Mailbox],
+    tapes: list,
     wait_until: Callable[[Callable[[], bool]], None],
     moved: Callable[..., pin.SE3],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    tapes: list = []
-
-    def recorded(value: object = None) -> Mailbox:
-        tapes.append(tape(value))
-        return tapes[-1]
-
-    monkeypatch.setattr(sessions, "Mailbox", recorded)
     options = Options(mesh="saddle-slab", robot="psm")
     with Session(options) as session:
         start = session.scene.T_base_start

@@ -16,8 +16,6 @@ from everyday import everyday
 
 import meshes
 import robots
-from app import session as sessions
-from app.mailbox import Mailbox
 from app.session import FARTHEST, Refused, Session
 from app.settings import OptionError, Options
 
@@ -55,18 +53,10 @@ def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
     mesh: str,
     robot: str,
     oracle: type[Any],
-    tape: type[Mailbox],
+    tapes: list[Any],
     wait_until: Wait,
     moved: Moved,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    tapes: list[Any] = []
-
-    def recorded(value: object = None) -> Mailbox:
-        tapes.append(tape(value))
-        return tapes[-1]
-
-    monkeypatch.setattr(sessions, "Mailbox", recorded)
     with Session(Options(mesh=mesh, robot=robot)) as session:
         surface, start = session.scene.surface, session.scene.T_base_start
         free = moved(start, dx=0.003, dy=-0.002, dz=0.004)

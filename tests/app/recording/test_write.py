@@ -11,7 +11,6 @@ import pinocchio as pin
 import pytest
 
 from app import replay, tape
-from app.mailbox import Mailbox
 from app.recording.format import RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
@@ -22,18 +21,7 @@ CUBE = Options(mesh="cube", robot="point")
 Wait = Callable[[Callable[[], bool]], None]
 
 
-def test_the_file_holds_what_the_loop_said(
-    tmp_path: Path, tape: type[Mailbox], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from app import session as sessions
-
-    tapes: list = []
-
-    def recorded(value: object = None) -> Mailbox:
-        tapes.append(tape(value))
-        return tapes[-1]
-
-    monkeypatch.setattr(sessions, "Mailbox", recorded)
+def test_the_file_holds_what_the_loop_said(tmp_path: Path, tapes: list) -> None:
     session = Session(CUBE)
     session.record(tmp_path / "run.vfrec")
     with session:
