@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from vf import problem
 from vf.cover import BUDGET, Buffer
 from vf.fixtures import ON_SURFACE, RULES, Filling, Fixture, MeshFixture
+from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes
 from vf.qp import ConstrainedLeastSquares, Solver
 from vf.qp_kernels import attempt
@@ -254,6 +255,8 @@ class Controller:
             T.translation + np.array([0.0, 0.0, 3e-3]),
         ):  # outside, inside
             surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
+            # What `Surface.nearest` goes on with in the middle of a large ball, hardly elsewhere.
+            nearest_face_freely(*surface.tree, T.translation, inf, np.full(1, -1), np.empty(3))
             for rule in RULES:
                 fixture = MeshFixture(surface, rule)
                 controller = Controller(self.arm, [fixture], self.settings)
