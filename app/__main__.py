@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import errno
 import importlib
 import importlib.util
-import os
 import pkgutil
 import signal
 import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from types import FrameType, TracebackType
 
 from rich.console import Console
@@ -22,6 +19,7 @@ from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 import app.commands
+from app.interrupts import interrupts
 from app.presets import find
 from app.scenario import Scenario
 from app.settings import OptionError, Options, format_length, parse
@@ -91,7 +89,7 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
                     step.done()
                     for note in session.scene.notes:
                         console.print(f"  [yellow]![/] {escape(note)}")
-                    with _interrupts() as wait:
+                    with interrupts() as wait:
                         console.print(
                             f"Ready after {time.perf_counter() - began:.1f} s. "
                             f"Open [bold]{escape(page.url)}[/] (Ctrl-C ends)",
@@ -154,42 +152,6 @@ def _wanted(words: list[str]) -> tuple[Options, Scenario | None]:
             f"the scenario is made for the mesh {scenario.options.mesh}; leave one of the two out"
         )
     return options, scenario
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[Callable[[], object]]:
-    """Ctrl-C and SIGTERM as something to wait for; a second one interrupts the closing.
-
-    As exceptions they would be lost where one comes in a callback that another library made, and
-    some are made all the time.
-    """
-    heard, ring = os.pipe()
-    # What the process was started to ignore stays ignored.
-    numbers = [
-        number
-        for number in (signal.SIGINT, signal.SIGTERM)
-        if signal.getsignal(number) not in (signal.SIG_IGN, None)
-    ]
-
-    def tell(number: int, frame: FrameType | None) -> None:
-        os.write(ring, b".")
-
-    before = [signal.signal(number, tell) for number in numbers]
-
-    def wait() -> None:
-        os.read(heard, 1)
-        restore()
-
-    def restore() -> None:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
-
-    try:
-        yield wait
-    finally:
-        restore()
-        os.close(heard)
-        os.close(ring)
 
 
 def _command(name: str, rest: list[str]) -> int:

@@ -27,10 +27,11 @@ SUMMARIES = 4  # of the statistics, per second
 # on the same two cores 99.97 % of ticks were less than 1 ms late at 20 µs, 99.93 % at 50 µs, 99.2 %
 # at 100 µs and 98.5 % at 200 µs.
 SWITCH_INTERVAL = 2e-5
-# But every such wait has a price, 20 to 60 µs of a core on a virtual machine. There three threads
-# that wait in real time leave nothing to the one they wait for, and everything stands still. So a
-# wait takes at least this many times its price,
-THRIFT = 2.0
+# But every such wait has a price, 20 to 60 µs of a core on a virtual machine. There the threads
+# that wait in real time (three, when the fourth has the interpreter) leave nothing to the one they
+# wait for, and everything stands still. So a wait takes at least this many times its price, divided
+# by the number of cores: on two, three who wait take one and a half.
+THRIFT = 4.0
 LONGEST_INTERVAL = 2e-4  # [s], and no longer than this
 # Wake-ups are some 50 µs late, so the last stretch before a deadline is spent asking the clock;
 # other threads still get the interpreter within the switch interval [s].
@@ -222,9 +223,10 @@ def _price_of_waiting() -> float:
     return min(spent)  # what disturbed the others is not its price
 
 
-def _switch_interval(price: float) -> float:
+def _switch_interval(price: float, cores: int | None = None) -> float:
     """How long a thread waits for the interpreter before it asks for it, by the price of that."""
-    return min(max(SWITCH_INTERVAL, THRIFT * price), LONGEST_INTERVAL)
+    share = THRIFT / (cores or os.cpu_count() or 1)
+    return min(max(SWITCH_INTERVAL, share * price), LONGEST_INTERVAL)
 
 
 def prefer_this_process() -> None:

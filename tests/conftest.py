@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -30,14 +31,20 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _forget_stale_kernels(root: Path) -> None:
-    """Drop compiled kernels that are older than the source of any kernel in `vf`.
+    """Drop all compiled kernels if the source of any of them has changed.
 
     Numba looks at the file of the function it compiled, not at those of the functions that were
     compiled into it: a change of `closest.py` would leave the tree as it was.
     """
-    sources = [p for p in root.glob("vf/*.py") if "@njit" in p.read_text()]
-    newest = max(p.stat().st_mtime for p in sources)
-    for package in ("vf", "meshes", "app"):
-        for index in root.glob(f"{package}/**/__pycache__/*.nbi"):
-            if index.stat().st_mtime < newest:
-                index.unlink(missing_ok=True)
+    packages = [root / name for name in ("vf", "meshes", "app")]
+    sources = [p for package in packages for p in sorted(package.rglob("*.py"))]
+    texts = [text for p in sources if "@njit" in (text := p.read_text())]
+    digest = hashlib.sha256("".join(texts).encode()).hexdigest()
+    note = root / "vf" / "__pycache__" / "kernels.sha256"
+    if note.exists() and note.read_text() == digest:
+        return
+    for package in packages:
+        for index in package.rglob("__pycache__/*.nbi"):
+            index.unlink(missing_ok=True)
+    note.parent.mkdir(exist_ok=True)
+    note.write_text(digest)

@@ -265,6 +265,7 @@ class Controller:
                 state = q
                 for _ in range(40):
                     state = controller.step(state, goal).q
+        self._farthest(self.arm.kinematics(q)[1])
         self.step(q, T)
 
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:

@@ -73,16 +73,16 @@ def certified_planes(
     checked_length("radius", radius)
     checked_length("standoff", standoff)
     checked_length("tip radius", tip_radius)
-    return cover(surface, p, radius, standoff, tip_radius)
+    planes = Buffer()
+    return planes.cut(*planes.fill(surface, p, radius, standoff, tip_radius, sharing=True))
 
 
 def cover(
     surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
-    """`certified_planes` for arguments that are known to be sound."""
+    """`certified_planes` for the control tick, where the arguments are known to be sound."""
     planes = Buffer()
-    m, reach = planes.fill(surface, x, radius, standoff, tip_radius, sharing=True)
-    return planes.cut(m, reach)
+    return planes.cut(*planes.fill(surface, x, radius, standoff, tip_radius))
 
 
 class Buffer:

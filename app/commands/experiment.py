@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from app.interrupts import interrupts
 from app.settings import Length, OptionError, parse_as
 
 if TYPE_CHECKING:
@@ -270,17 +270,17 @@ def _replay(options: Replay, console: Console) -> int:
         page = Page(session, options.host, options.port)
         try:
             session.set_autopilot(True)
-            console.print(
-                f"{escape(trial.key)}: {recorded.outcome.duration:.0f} s. "
-                f"Open [bold]{page.url}[/] (Ctrl-C ends); reset and switch the autopilot on to "
-                "see it again",
-                soft_wrap=True,
-            )
-            if page.warning:
-                console.print(escape(page.warning), soft_wrap=True)
-            threading.Event().wait()
-        except KeyboardInterrupt:
-            console.print("Closing.")
+            with interrupts() as wait:
+                console.print(
+                    f"{escape(trial.key)}: {recorded.outcome.duration:.0f} s. "
+                    f"Open [bold]{page.url}[/] (Ctrl-C ends); reset and switch the autopilot on "
+                    "to see it again",
+                    soft_wrap=True,
+                )
+                if page.warning:
+                    console.print(escape(page.warning), soft_wrap=True)
+                wait()
+                console.print("Closing.")
         finally:
             page.close()
     return 0

@@ -166,10 +166,11 @@ def test_a_loop_needs_orders() -> None:
         ControlLoop(Mailbox(), Mailbox(), 1e-3)
 
 
-def test_waiting_for_the_interpreter_never_costs_much_of_a_core() -> None:
-    price = loops._price_of_waiting()
-    assert 0.0 < price < 1e-2
-    for price in (0.0, 1e-6, 5e-6, 3e-5, 1e-3):
-        interval = loops._switch_interval(price)
-        assert loops.SWITCH_INTERVAL <= interval <= loops.LONGEST_INTERVAL
-        assert interval == loops.LONGEST_INTERVAL or interval >= loops.THRIFT * price
+def test_who_waits_for_the_interpreter_leaves_cores_to_who_has_it() -> None:
+    assert 0.0 < loops._price_of_waiting() < 1e-2
+    for cores in (1, 2, 4):
+        for price in (0.0, 1e-6, 5e-6, 3e-5, 1e-3):
+            interval = loops._switch_interval(price, cores)
+            assert 2e-5 <= interval <= 2e-4
+            three = 3.0 * price / interval
+            assert three <= 0.75 * cores + 1e-9 or interval == 2e-4
