@@ -91,7 +91,7 @@ def build(
 
     if warm:
         say("preparing the kernels (the first start compiles them: up to a minute)")
-        _warm_up()
+        warm_up()
     say(f"building the tree of {len(faces):,} triangles")
     surface = vf.Surface.from_arrays(vertices, faces)
     if not surface.closed:
@@ -224,8 +224,8 @@ def plant(scene: Scene, options: Options) -> Plant:
 
 
 @cache
-def _warm_up() -> None:
-    """Have every kernel of a tick compiled; once in a process."""
+def warm_up() -> None:
+    """Have every kernel of a tick compiled, or loaded from disk; once in a process."""
     vf.Controller(robots.load("point"), []).warm_up()
 
 

@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from vf import problem
+from vf.corridor import CorridorFixture
 from vf.cover import BUDGET, Buffer
 from vf.fixtures import ON_SURFACE, RULES, Filling, Fixture, MeshFixture
 from vf.pdtree import nearest_face_freely
@@ -265,7 +266,9 @@ class Controller:
                 state = q
                 for _ in range(40):
                     state = controller.step(state, goal).q
-        self._farthest(self.arm.kinematics(q)[1])
+        along = np.array([0.01, 0.0, 0.0])
+        walls = CorridorFixture([T.translation - along, T.translation + along], [0.0, 0.0, -1.0])
+        Controller(self.arm, [walls], self.settings).step(q, T)
         self.step(q, T)
 
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:

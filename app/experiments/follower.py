@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from functools import cache
 from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-import robots
 import vf
+from app.scene import warm_up
 from robots import Arm
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +44,7 @@ class ControlledArm:
     def __init__(
         self, arm: Arm, fixtures: Sequence[vf.Fixture], T_base_start: pin.SE3, dt: float
     ) -> None:
-        _load_kernels()
+        warm_up()  # in no trial's time
         self._controller = vf.Controller(arm.copy(), list(fixtures), vf.Settings(dt=dt))
         self._goal = pin.SE3(T_base_start)
         self.q = arm.inverse(T_base_start, start=arm.neutral)
@@ -68,12 +67,3 @@ class ControlledArm:
         self.joints.append(joints)
         self.statuses.update(statuses)
         return tips
-
-
-@cache
-def _load_kernels() -> None:
-    """Compile or load all that a tick can meet: once in a process, in no trial's time."""
-    arm = robots.load("point")
-    x = arm.tip(arm.neutral).translation
-    along, down = np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
-    vf.Controller(arm, [vf.CorridorFixture([x - along, x + along], down)]).warm_up()

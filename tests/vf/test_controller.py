@@ -653,6 +653,13 @@ runs = [
     for rule in vf.RULES for radius in (5e-3, None)
 ]
 runs.append(vf.Controller(arm, [vf.MeshFixture(surface), Floor()]))
+along = np.array([0.01, 0.0, 0.0])
+for corridor in (
+    vf.CorridorFixture([middle - along, middle + along], [0.0, 0.0, 1.0]),
+    vf.CorridorFixture([tip - along + 3e-3, tip, tip + along], [0.0, 0.0, 1.0]),  # bent
+):
+    for fixtures in ([corridor], [vf.MeshFixture(surface), corridor]):
+        runs.append(vf.Controller(arm, fixtures))
 runs[0].warm_up()
 before = kernels()
 for controller in runs:
