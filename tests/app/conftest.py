@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import subprocess
+import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +19,8 @@ import pytest
 
 from app import session as sessions
 from app.mailbox import Mailbox
+
+ROOT = Path(__file__).parents[2]
 
 
 class Oracle:
@@ -125,3 +134,41 @@ def no_thread_left_behind() -> Iterator[None]:
     for thread in left:
         thread.join(2.0)  # one that was told to stop may take a moment (a progress bar's)
     assert [t.name for t in left if t.is_alive()] == []
+
+
+@pytest.fixture
+def page_of_command() -> Callable[..., str]:
+    """Run a command that opens a page, fetch the page, end the command as asked: what it said."""
+
+    def run(*words: str, end: signal.Signals = signal.SIGINT) -> str:
+        with subprocess.Popen(
+            [sys.executable, "-u", "-m", "app", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env={**os.environ, "COLUMNS": "200"},
+            # A shell's background jobs ignore interrupts, and so would what they start.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        ) as process:
+            try:
+                assert process.stdout is not None
+                before: list[str] = []
+                address = None
+                for line in process.stdout:
+                    before.append(line)
+                    if address := re.search(r"Open (http://127\.0\.0\.1:\d+)", line):
+                        break
+                assert address is not None, (before, process.stderr and process.stderr.read())
+                with urllib.request.urlopen(address[1], timeout=30) as page:
+                    assert page.status == 200
+                process.send_signal(end)
+                out, err = process.communicate(timeout=30)
+            finally:
+                process.kill()
+        assert process.returncode == 0, err
+        assert "Closing." in out
+        assert "Traceback" not in err
+        return "".join(before)
+
+    return run

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import re
 import signal
 import socket
 import subprocess
 import sys
-import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -123,35 +121,9 @@ def test_an_address_that_is_not_ours_is_told_and_does_not_hang(host: str) -> Non
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_page_comes_up_says_where_and_closes_on_interrupt(number: signal.Signals) -> None:
-    words = [sys.executable, "-u", "-m", "app", "--mesh", "cube", "--robot", "point"]
-    with subprocess.Popen(
-        [*words, "--port", "0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "COLUMNS": "200"},
-        # A shell's background jobs ignore interrupts, and so would what they start.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    ) as process:
-        try:
-            assert process.stdout is not None
-            before: list[str] = []
-            address = None
-            for line in process.stdout:
-                before.append(line)
-                if address := re.search(r"Ready .* (http://127\.0\.0\.1:\d+)", line):
-                    break
-            assert address is not None, (before, process.stderr and process.stderr.read())
-            assert any("loading the mesh cube" in line for line in before)
-            assert any("preparing the kernels" in line for line in before)
-            with urllib.request.urlopen(address[1], timeout=30) as page:
-                assert page.status == 200
-            process.send_signal(number)
-            out, err = process.communicate(timeout=30)
-        finally:
-            process.kill()
-    assert process.returncode == 0, err
-    assert "Closing." in out
-    assert "Traceback" not in err
+def test_the_page_comes_up_says_where_and_closes_on_interrupt(
+    number: signal.Signals, page_of_command: Callable[..., str]
+) -> None:
+    told = page_of_command("--mesh", "cube", "--robot", "point", "--port", "0", end=number)
+    assert "loading the mesh cube" in told
+    assert "preparing the kernels" in told

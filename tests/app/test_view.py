@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -211,3 +212,44 @@ def test_the_surgeon_looks_down_along_the_instrument(telemetry: list[Telemetry])
         assert 25.0 < angle < 45.0
         assert view.eye[2] > view.look_at[2]
         np.testing.assert_allclose(view.look_at, [0.1, 0.0, 0.2])
+
+
+# Linear RGB as it is seen without one kind of cones: Machado, Oliveira, Fernandes 2009, severity 1.
+BLINDNESS = {
+    "none": np.eye(3),
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanopia": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+def seen(color: palette.Rgb, kind: str) -> np.ndarray:
+    """CIE L*a*b* (3,) of an sRGB colour as somebody sees it."""
+    c = np.array(color) / 255.0
+    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    linear = np.clip(np.array(BLINDNESS[kind]) @ linear, 0.0, 1.0)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    xyz = np.array(to_xyz) @ linear / [0.9505, 1.0, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("kind", list(BLINDNESS))
+def test_the_colours_of_the_rules_are_told_apart(kind: str) -> None:
+    for a, b in itertools.combinations(palette.LOOKS, 2):
+        apart = np.linalg.norm(
+            seen(palette.LOOKS[a].color, kind) - seen(palette.LOOKS[b].color, kind)
+        )
+        assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 can just be told apart

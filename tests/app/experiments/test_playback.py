@@ -1,5 +1,7 @@
 """A trial played in the page's engine moves the joints of the trial, bit for bit."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -23,3 +25,10 @@ def test_the_engine_repeats_the_trial(rule: str) -> None:
     last = engine.advance(orders, stats)[0]
     assert last.target is not None
     np.testing.assert_array_equal(last.target.translation, recorded.run.goals[-1])
+
+
+@pytest.mark.slow
+def test_a_trial_opens_in_the_page(page_of_command: Callable[..., str]) -> None:
+    words = "experiment replay --rate 100 --length 2mm --port 0"
+    told = page_of_command(*words.split())
+    assert "cutting-skull-certified" in told
