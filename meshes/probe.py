@@ -40,11 +40,7 @@ def intersections(vertices: FloatArray, corners: IntArray, tree: Tree, rows: Int
 
 @njit(cache=True, nogil=True)
 def _intersections(vertices, corners, tree, rows, touch, pairs):  # type: ignore[no-untyped-def]
-    room = 256
-    triangles = np.empty(room, dtype=np.int64)
-    points = np.empty((room, 3))
-    features = np.empty(room, dtype=np.int8)
-    distances = np.empty(room)
+    triangles = np.empty(256, dtype=np.int64)
     found = 0
     for f in rows:
         a, b, c = vertices[corners[f, 0]], vertices[corners[f, 1]], vertices[corners[f, 2]]
@@ -54,14 +50,10 @@ def _intersections(vertices, corners, tree, rows, touch, pairs):  # type: ignore
             p = vertices[corners[f, k]]
             reach = max(reach, (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2)
         reach = np.sqrt(reach) * (1.0 + 1e-9)
-        near = within(tree, x, y, z, reach, triangles, points, features, distances)
-        if near > room:
-            room = near
-            triangles = np.empty(room, dtype=np.int64)
-            points = np.empty((room, 3))
-            features = np.empty(room, dtype=np.int8)
-            distances = np.empty(room)
-            near = within(tree, x, y, z, reach, triangles, points, features, distances)
+        near = within(tree.nodes, tree.corners, tree.order, x, y, z, reach, triangles)
+        if near > len(triangles):
+            triangles = np.empty(near, dtype=np.int64)
+            near = within(tree.nodes, tree.corners, tree.order, x, y, z, reach, triangles)
         for t in range(near):
             g = triangles[t]
             if g == f:

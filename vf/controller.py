@@ -257,7 +257,8 @@ class Controller:
         ):  # outside, inside
             surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
             # What `Surface.nearest` goes on with in the middle of a large ball, hardly elsewhere.
-            nearest_face_freely(*surface.tree, T.translation, inf, np.full(1, -1), np.empty(3))
+            tree = surface.tree
+            nearest_face_freely(tree.nodes, tree.corners, T.translation.copy(), inf, -1)
             for rule in RULES:
                 fixture = MeshFixture(surface, rule)
                 controller = Controller(self.arm, [fixture], self.settings)

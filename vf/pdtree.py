@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from vf.closest import closest_on_triangle
+from vf.closest import closest_on_triangle, distance2_to_triangle
 from vf.planes import FloatArray, IntArray
 
 LEAF = 6
@@ -258,51 +258,132 @@ def triangle_at(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
-def within(tree, x, y, z, radius, triangles, points, features, distances):  # type: ignore[no-untyped-def]
-    """Every triangle cut by the closed ball: rows written up to the arrays' length.
+@njit(cache=True, nogil=True, inline="always")
+def triangle_distance2(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+    """`distance2_to_triangle` for row t of tree-ordered corners."""
+    return distance2_to_triangle(
+        corners[t, 0],
+        corners[t, 1],
+        corners[t, 2],
+        corners[t, 3],
+        corners[t, 4],
+        corners[t, 5],
+        corners[t, 6],
+        corners[t, 7],
+        corners[t, 8],
+        x,
+        y,
+        z,
+    )
 
-    Returns the number found, which may exceed the arrays' length: then call again with longer ones.
-    Triangles come out as the caller's indices, in tree order.
+
+@njit(cache=True, nogil=True, inline="always")
+def box_distances2(nodes, node, x, y, z):  # type: ignore[no-untyped-def]
+    """Squared distance of a point to the box of a node (0 inside), and to its farthest corner."""
+    dx, dy, dz = x - nodes[node, 0], y - nodes[node, 1], z - nodes[node, 2]
+    near2 = far2 = 0.0
+    for k in range(3):
+        p = nodes[node, 6 + 3 * k] * dx + nodes[node, 7 + 3 * k] * dy + nodes[node, 8 + 3 * k] * dz
+        half = nodes[node, 3 + k]
+        far2 += (abs(p) + half) ** 2
+        e = abs(p) - half
+        if e > 0.0:
+            near2 += e * e
+    return near2, far2
+
+
+@njit(cache=True, nogil=True, inline="always")
+def triangles_below(nodes, node):  # type: ignore[no-untyped-def]
+    """First triangle of a subtree and the one after its last: its leaves lie side by side."""
+    left = right = node
+    while nodes[left, 15] > 0.0:
+        left = int(nodes[left, 15])
+    while nodes[right, 15] > 0.0:
+        right = int(nodes[right, 15]) + 1
+    return triangles_of(nodes[left, 15])[0], triangles_of(nodes[right, 15])[1]
+
+
+@njit(cache=True, nogil=True)
+def within(nodes, corners, order, x, y, z, radius, triangles):  # type: ignore[no-untyped-def]
+    """Every triangle cut by the closed ball, the caller's indices, as far as the array has room.
+
+    Returns their number, which may exceed the array's length: then call again with a longer one.
+    Triangles come out in tree order.
     """
-    stack = np.empty(STACK, dtype=np.int32)
+    waiting = np.empty(STACK, dtype=np.int32)
     r2 = radius * radius
-    # Boxes are kept up to a hair beyond the ball: the exact test is the triangle's.
+    # Boxes within a hair of the sphere are opened: the exact test is the triangle's.
     reach2 = r2 * (1.0 + 1e-9) + 1e-30
-    stack[0] = 0
+    sure2 = r2 * (1.0 - 1e-9) - 1e-30
+    waiting[0] = 0
     depth = 1
     found = 0
     room = triangles.shape[0]
     while depth > 0:
         depth -= 1
-        node = stack[depth]
-        if box_distance2(tree.nodes, node, x, y, z) > reach2:
+        node = waiting[depth]
+        near2, far2 = box_distances2(nodes, node, x, y, z)
+        if near2 > reach2:
             continue
-        link = tree.nodes[node, 15]
-        if link > 0.0:
-            child = int(link)
-            stack[depth] = child + 1
-            stack[depth + 1] = child
-            depth += 2
-            continue
-        first, last = triangles_of(link)
-        for t in range(first, last):
-            px, py, pz, feature, d2 = triangle_at(tree.corners, t, x, y, z)
-            if d2 <= r2:
+        link = nodes[node, 15]
+        if far2 <= sure2:
+            first, last = triangles_below(nodes, node)
+            for t in range(first, last):
                 if found < room:
-                    triangles[found] = tree.order[t]
-                    points[found, 0] = px
-                    points[found, 1] = py
-                    points[found, 2] = pz
-                    features[found] = feature
-                    distances[found] = np.sqrt(d2)
+                    triangles[found] = order[t]
                 found += 1
+        elif link > 0.0:
+            child = int(link)
+            waiting[depth] = child + 1
+            waiting[depth + 1] = child
+            depth += 2
+        else:
+            first, last = triangles_of(link)
+            for t in range(first, last):
+                cut = False
+                for j in range(0, 9, 3):
+                    dx, dy, dz = corners[t, j] - x, corners[t, j + 1] - y, corners[t, j + 2] - z
+                    cut |= dx * dx + dy * dy + dz * dz <= r2
+                if cut or triangle_distance2(corners, t, x, y, z) <= r2:
+                    if found < room:
+                        triangles[found] = order[t]
+                    found += 1
     return found
 
 
 @njit(cache=True, nogil=True)
+def within_ball(nodes, corners, order, p, radius, triangles):  # type: ignore[no-untyped-def]
+    """`within` for one call from Python; −1 where p (3,) is not finite."""
+    if not np.isfinite(p[0] + p[1] + p[2]):
+        return -1
+    return within(nodes, corners, order, p[0], p[1], p[2], radius, triangles)
+
+
+@njit(cache=True, nogil=True)
+def closest_points(vertices, faces, triangles, p, points, features, distances):  # type: ignore[no-untyped-def]
+    """`closest_on_triangle` for each of the triangles (k,), into arrays of k rows."""
+    for i in range(triangles.shape[0]):
+        a, b, c = faces[triangles[i], 0], faces[triangles[i], 1], faces[triangles[i], 2]
+        points[i, 0], points[i, 1], points[i, 2], features[i], d2 = closest_on_triangle(
+            vertices[a, 0],
+            vertices[a, 1],
+            vertices[a, 2],
+            vertices[b, 0],
+            vertices[b, 1],
+            vertices[b, 2],
+            vertices[c, 0],
+            vertices[c, 1],
+            vertices[c, 2],
+            p[0],
+            p[1],
+            p[2],
+        )
+        distances[i] = np.sqrt(d2)
+
+
+@njit(cache=True, nogil=True)
 def nearest(nodes, corners, x, y, z, limit, guess, patience):  # type: ignore[no-untyped-def]
-    """Nearest triangle within `limit`: squared distance, row in tree order (−1: none), point.
+    """Nearest triangle within `limit`: squared distance and row in tree order (−1: none).
 
     `guess` is a row to look at first, or −1: a tool that moves by micrometres stays near the same
     triangle, and knowing its distance halves the walk. The answer does not depend on it: of several
@@ -310,28 +391,20 @@ def nearest(nodes, corners, x, y, z, limit, guess, patience):  # type: ignore[no
 
     The walk is given up after `patience` nodes; the row is then `UNFINISHED`.
     """
-    stack = np.empty(STACK, dtype=np.int32)
-    lower = np.empty(STACK)
+    waiting = np.empty((STACK, 2))  # node and squared distance of its box
     best = limit * limit if limit < 1e150 else np.inf
     row = -1
-    bx = by = bz = 0.0
     if 0 <= guess < corners.shape[0]:
-        px, py, pz, _feature, d2 = triangle_at(corners, guess, x, y, z)
+        d2 = triangle_distance2(corners, guess, x, y, z)
         if d2 <= best:
             best = d2
             row = guess
-            bx, by, bz = px, py, pz
-    stack[0] = 0
-    lower[0] = 0.0
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        if lower[depth] > best:
-            continue
+    node = 0
+    depth = 0
+    while True:
         if patience == 0:
-            return best, UNFINISHED, bx, by, bz
+            return best, UNFINISHED
         patience -= 1
-        node = stack[depth]
         link = nodes[node, 15]
         if link > 0.0:
             child = int(link)
@@ -342,54 +415,45 @@ def nearest(nodes, corners, x, y, z, limit, guess, patience):  # type: ignore[no
                 d0, d1 = d1, d0
                 near, far = far, near
             if d1 <= best:
-                stack[depth] = far
-                lower[depth] = d1
+                waiting[depth, 0] = far
+                waiting[depth, 1] = d1
                 depth += 1
             if d0 <= best:
-                stack[depth] = near
-                lower[depth] = d0
-                depth += 1
-            continue
-        first, last = triangles_of(link)
-        for t in range(first, last):
-            px, py, pz, _feature, d2 = triangle_at(corners, t, x, y, z)
-            if d2 < best or (d2 == best and (row < 0 or t < row)):
-                best = d2
-                row = t
-                bx, by, bz = px, py, pz
-    return best, row, bx, by, bz
+                node = near
+                continue
+        else:
+            first, last = triangles_of(link)
+            for t in range(first, last):
+                d2 = triangle_distance2(corners, t, x, y, z)
+                if d2 < best or (d2 == best and (row < 0 or t < row)):
+                    best = d2
+                    row = t
+        while depth > 0 and waiting[depth - 1, 1] > best:
+            depth -= 1
+        if depth == 0:
+            return best, row
+        depth -= 1
+        node = int(waiting[depth, 0])
 
 
 @njit(cache=True)
-def nearest_face(nodes, corners, order, p, limit, guess, point, patience):  # type: ignore[no-untyped-def]
-    """`nearest` for one call from Python: distance, the caller's index of the face, and the point.
+def nearest_face(nodes, corners, p, limit, guess, patience):  # type: ignore[no-untyped-def]
+    """`nearest` for one call from Python: distance and row; p (3,) becomes the closest point.
 
-    `guess` (1,) is read and then set to the row found. The face is −1 where there is none within
-    `limit`, −2 where p (3,) is not finite, `UNFINISHED` where patience was not enough.
+    p is left alone where the row is −1 (nothing within `limit`), −2 (p is not finite) or
+    `UNFINISHED` (patience was not enough).
     """
-    if not np.isfinite(p[0] + p[1] + p[2]):
+    x, y, z = p[0], p[1], p[2]
+    if not np.isfinite(x + y + z):
         return np.inf, -2
-    d2, row, point[0], point[1], point[2] = nearest(
-        nodes, corners, p[0], p[1], p[2], limit, guess[0], patience
-    )
+    _d2, row = nearest(nodes, corners, x, y, z, limit, guess, patience)
     if row < 0:
         return np.inf, row
-    guess[0] = row
-    return np.sqrt(d2), order[row]
+    p[0], p[1], p[2], _feature, d2 = triangle_at(corners, row, x, y, z)
+    return np.sqrt(d2), row
 
 
 @njit(cache=True, nogil=True)
-def nearest_face_freely(nodes, corners, order, p, limit, guess, point):  # type: ignore[no-untyped-def]
+def nearest_face_freely(nodes, corners, p, limit, guess):  # type: ignore[no-untyped-def]
     """`nearest_face` to the end, while other threads have the interpreter."""
-    return nearest_face(nodes, corners, order, p, limit, guess, point, -1)
-
-
-@njit(cache=True, nogil=True)
-def within_ball(nodes, corners, order, p, radius, triangles, points, features, distances):  # type: ignore[no-untyped-def]
-    """`within` for one call from Python; −1 where p (3,) is not finite."""
-    if not np.isfinite(p[0] + p[1] + p[2]):
-        return -1
-    return within(
-        Tree(nodes, corners, order), p[0], p[1], p[2], radius,
-        triangles, points, features, distances,
-    )  # fmt: skip
+    return nearest_face(nodes, corners, p, limit, guess, -1)

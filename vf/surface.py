@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vf import pdtree
-from vf.pdtree import PATIENCE, UNFINISHED, nearest_face, nearest_face_freely, within_ball
+from vf.pdtree import (
+    PATIENCE,
+    UNFINISHED,
+    closest_points,
+    nearest_face,
+    nearest_face_freely,
+    within_ball,
+)
 from vf.planes import FloatArray, IntArray, checked_length, checked_point
 from vf.winding import Moments, moments, winding_number
 
@@ -33,9 +38,29 @@ class Edge(IntEnum):
 FLAT_SINE = 1e-9
 
 
-@dataclass(frozen=True)
+class _Compiled:
+    """The kernels of single questions, compiled for fixed types when the first is asked.
+
+    Numba looks at every argument of every call; for a kernel of a few microseconds that takes as
+    long as a third of its work. Nobody looks here: the callers see to types and contiguous arrays.
+    """
+
+    @cached_property
+    def nearest(self) -> Callable[..., tuple[float, int]]:
+        return nearest_face.compile("(f8[:, ::1], f8[:, ::1], f8[::1], f8, i8, i8)")
+
+    @cached_property
+    def within(self) -> Callable[..., int]:
+        return within_ball.compile("(f8[:, ::1], f8[:, ::1], i8[::1], f8[::1], f8, i8[::1])")
+
+
+_COMPILED = _Compiled()
+
+
 class Contacts:
     """Triangles cut by a closed ball, one row each, in no particular order.
+
+    Which they are is found at once; where they are closest, when that is first asked for.
 
     Attributes:
         triangles: (k,) faces, the caller's indices.
@@ -44,13 +69,34 @@ class Contacts:
         distances: (k,) [m].
     """
 
-    triangles: IntArray
-    points: FloatArray
-    features: NDArray[np.int8]
-    distances: FloatArray
+    def __init__(self, surface: Surface, x: FloatArray, triangles: IntArray) -> None:
+        """Of the ball around x (3,), which must not change any more."""
+        self._surface = surface
+        self._x = x
+        self.triangles = triangles
 
     def __len__(self) -> int:
         return len(self.triangles)
+
+    @cached_property
+    def _closest(self) -> tuple[FloatArray, NDArray[np.int8], FloatArray]:
+        k = len(self.triangles)
+        found = np.empty((k, 3)), np.empty(k, dtype=np.int8), np.empty(k)
+        surface = self._surface
+        closest_points(surface.vertices, surface.faces, self.triangles, self._x, *found)
+        return found
+
+    @property
+    def points(self) -> FloatArray:
+        return self._closest[0]
+
+    @property
+    def features(self) -> NDArray[np.int8]:
+        return self._closest[1]
+
+    @property
+    def distances(self) -> FloatArray:
+        return self._closest[2]
 
 
 class Surface:
@@ -96,11 +142,7 @@ class Surface:
             array.flags.writeable = False
         # Where `nearest` looks first. Threads may overwrite each other's: it makes an answer
         # quicker, never another.
-        self._guess = np.full(1, -1, dtype=np.int64)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        # Arrays that come from another process may all be read-only, the guess too.
-        self.__dict__.update(state, _guess=np.full(1, -1, dtype=np.int64))
+        self._guess = -1
 
     @staticmethod
     def from_arrays(
@@ -152,21 +194,19 @@ class Surface:
 
     def within(self, x: ArrayLike, radius: float) -> Contacts:
         """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
-        p = np.asarray(x, dtype=np.float64)
+        p = np.array(x, dtype=np.float64)
         if p.shape != (3,) or not 0.0 <= radius < np.inf:
             checked_point(x)
             checked_length("radius", radius)
-        room = 256
+        tree = self.tree
+        room = 2048
         while True:
             triangles = np.empty(room, dtype=np.int64)
-            points = np.empty((room, 3))
-            features = np.empty(room, dtype=np.int8)
-            distances = np.empty(room)
-            k = within_ball(*self.tree, p, radius, triangles, points, features, distances)
+            k = _COMPILED.within(tree[0], tree[1], tree[2], p, radius, triangles)
             if k < 0:
                 checked_point(x)
             if k <= room:
-                return Contacts(triangles[:k], points[:k], features[:k], distances[:k])
+                return Contacts(self, p, triangles[:k])
             room = k
 
     def nearest(self, x: ArrayLike, limit: float = np.inf) -> tuple[float, int, FloatArray]:
@@ -174,17 +214,17 @@ class Surface:
 
         Beyond `limit` [m] the answer is (inf, −1, x).
         """
-        p = np.asarray(x, dtype=np.float64)
-        if p.shape != (3,):
+        point = np.array(x, dtype=np.float64)
+        if point.shape != (3,):
             checked_point(x)
-        point = np.empty(3)
         tree, guess = self.tree, self._guess
-        distance, face = nearest_face(*tree, p, limit, guess, point, PATIENCE)
-        if face == UNFINISHED:  # a point that has much of the surface at the same distance
-            distance, face = nearest_face_freely(*tree, p, limit, guess, point)
-        if face < 0:
+        distance, row = _COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
+        if row == UNFINISHED:  # a point that has much of the surface at the same distance
+            distance, row = nearest_face_freely(tree[0], tree[1], point, limit, guess)
+        if row < 0:
             return np.inf, -1, checked_point(x)
-        return distance, face, point
+        self._guess = row
+        return distance, tree[2].item(row), point
 
     @cached_property
     def _solid(self) -> tuple[bool, Moments]:

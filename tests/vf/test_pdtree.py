@@ -156,7 +156,7 @@ def test_the_nearest_triangle_does_not_depend_on_what_was_asked_before(name):
     points = np.concatenate([ends[:, 0], ends.mean(axis=1), ends.mean(axis=1) + 0.1])
     fresh = []
     for x in points:
-        surface._guess[0] = -1
+        surface._guess = -1
         fresh.append(surface.nearest(x))
     for k in rng.permutation(len(points)):
         distance, triangle, point = surface.nearest(points[k])
@@ -170,8 +170,9 @@ def test_a_walk_that_takes_long_ends_with_the_same_answer():
     ball = trimesh.creation.icosphere(subdivisions=4)
     surface = vf.Surface.from_arrays(ball.vertices, ball.faces)
     x = np.zeros(3)
-    found = pdtree.nearest_face(*surface.tree, x, np.inf, np.full(1, -1), np.empty(3), PATIENCE)
-    assert found[1] == UNFINISHED
+    nodes, corners, _order = surface.tree
+    assert pdtree.nearest_face(nodes, corners, x, np.inf, -1, PATIENCE)[1] == UNFINISHED
+    assert (x == 0.0).all()
     distance, triangle, point = surface.nearest(x)
     exact = ball.triangles_center[triangle] @ ball.face_normals[triangle]
     assert distance == pytest.approx(ball.face_normals[0] @ ball.triangles_center[0], rel=0.1)
