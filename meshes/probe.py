@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vf.pdtree import STACK, Tree, triangles_of, within
+from vf.pdtree import STACK, Tree, children_of, triangles_of, within
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -150,10 +150,10 @@ def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
             continue
         link = tree.nodes[node, 15]
         if link > 0.0:
-            child = int(link)
-            stack[depth] = child + 1
-            stack[depth + 1] = child
-            depth += 2
+            first, last = children_of(link)
+            for child in range(first, last):
+                stack[depth] = child
+                depth += 1
             continue
         first, last = triangles_of(link)
         for t in range(first, last):

@@ -20,7 +20,14 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
-from vf.pdtree import Tree, box_distance2, triangle_at, triangles_of
+from vf.pdtree import (
+    Tree,
+    box_distance2,
+    children_of,
+    triangle_at,
+    triangle_distance2,
+    triangles_of,
+)
 from vf.planes import FloatArray, IntArray, Planes, checked_length, checked_point
 from vf.surface import Surface
 
@@ -319,16 +326,24 @@ def _cover(  # type: ignore[no-untyped-def]
     spare = np.empty((budget + 4, 3))
     m = 0
     valid = radius
-    size = 1
-    keys[0] = box_distance2(tree.nodes, 0, x, y, z)
-    items[0] = 0
-    while size > 0:
-        d2 = keys[0]
-        item = items[0]
+    size = 0
+    # The nearest of what was just opened is often the nearest of all: it need not queue.
+    next2 = box_distance2(tree.nodes, 0, x, y, z)
+    next_item = 0
+    while True:
+        d2 = next2
+        item = next_item
+        if size > 0 and keys[0] < next2:
+            d2 = keys[0]
+            item = items[0]
+            _pop(keys, items, size)
+            size -= 1
+            if next2 <= reach2:
+                _push(keys, items, size, next2, next_item)
+                size += 1
+        next2 = np.inf
         if d2 > reach2:
             break
-        _pop(keys, items, size)
-        size -= 1
         seen = item % SEEN
         item = item // SEEN
         less = _less(d2, tip_radius, far)
@@ -337,34 +352,33 @@ def _cover(  # type: ignore[no-untyped-def]
                 continue
             link = tree.nodes[item, 15]
             if link > 0.0:
-                child = int(link)
-                first = 0
-                count = 2
+                first, last = children_of(link)
             else:
-                child = -1
                 first, last = triangles_of(link)
-                count = last - first
-            if size + count > HEAP:
+            if size + last - first >= HEAP:
                 valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
                 break
-            for c in range(count):
-                if child >= 0:
-                    entry = child + c
+            for entry in range(first, last):
+                if link > 0.0:
                     e2 = box_distance2(tree.nodes, entry, x, y, z)
                     if e2 <= reach2 and _box_behind(
                         tree.nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
                     ):
                         continue
                 else:
-                    entry = -1 - (first + c)
-                    if _triangle_behind(
-                        tree.corners, first + c, normals, limits, bumps, less, 0, m
-                    ):
+                    if _triangle_behind(tree.corners, entry, normals, limits, bumps, less, 0, m):
                         continue
-                    _px, _py, _pz, _f, e2 = triangle_at(tree.corners, first + c, x, y, z)
+                    e2 = triangle_distance2(tree.corners, entry, x, y, z)
                 # A box's bound may round to just above its parent's triangles: never go back.
+                e2 = max(e2, d2)
+                if e2 > reach2:
+                    continue
+                new = (entry if link > 0.0 else -1 - entry) * SEEN + m
+                if e2 < next2:
+                    e2, next2 = next2, e2
+                    new, next_item = next_item, new
                 if e2 <= reach2:
-                    _push(keys, items, size, max(e2, d2), entry * SEEN + m)
+                    _push(keys, items, size, e2, new)
                     size += 1
             continue
 

@@ -1,8 +1,9 @@
 """Principal-direction tree over triangles: a hierarchy of boxes turned along their content.
 
 A node is a box in the frame of the principal directions of its triangles' corners. It is split at
-the mean along the first direction; a leaf holds a handful of triangles, contiguous in tree order.
-Everything lies in flat arrays; the two children of a node are neighbours.
+the mean along the first direction, and each half once more along its own: a node has up to four
+children, which is a walk of half as many steps for little more than the same boxes. A leaf holds a
+handful of triangles. Everything lies in flat arrays, siblings and their triangles side by side.
 
 After the covariance trees of the paper's section III-A.
 """
@@ -18,7 +19,8 @@ from vf.closest import closest_on_triangle, distance2_to_triangle
 from vf.planes import FloatArray, IntArray
 
 LEAF = 6
-STACK = 256  # deeper than any tree: no split is worse than 1 : 9, see `build`
+# More than ever waits in a walk: three for each two splits, none of which is worse than 1 : 9.
+STACK = 256
 # Nodes that `Surface.nearest` visits before it lets other threads have the interpreter. Few walks
 # take as many (some 10 µs), and to hand it over costs a tenth of a walk, far more if it is wanted.
 PATIENCE = 500
@@ -31,8 +33,8 @@ class Tree(NamedTuple):
     A node's record is 128 bytes: all that a walk needs of it comes with two cache lines.
 
     Attributes:
-        nodes: (k, 16) centre (3), half sizes (3), rows of the rotation world → box (9), link: the
-            first child, which the second one follows, or for a leaf −(64 · first triangle + count).
+        nodes: (k, 16) centre (3), half sizes (3), rows of the rotation world → box (9), link:
+            8 · first child + count, or for a leaf −(64 · first triangle + count).
         corners: (m, 9) corners of the triangles in tree order.
         order: (m,) the caller's index of each triangle in tree order.
     """
@@ -40,6 +42,14 @@ class Tree(NamedTuple):
     nodes: FloatArray
     corners: FloatArray
     order: IntArray
+
+
+@njit(cache=True, nogil=True, inline="always")
+def children_of(link):  # type: ignore[no-untyped-def]
+    """First child of an inner node and the one after its last, from the link of the node."""
+    code = int(link)
+    first = code >> 3
+    return first, first + (code & 7)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -96,7 +106,7 @@ def _principal(cov, axes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-untyped-def]
-    """Fill boxes, and links: first child or −1, first triangle, count.
+    """Binary tree: fill boxes, and links: first child (the second follows) or −1, triangle, count.
 
     `corners` and `centroids` are permuted along with `order`.
     """
@@ -211,19 +221,59 @@ def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-un
     return nodes
 
 
+@njit(cache=True, nogil=True)
+def _quadruple(boxes, links, nodes):  # type: ignore[no-untyped-def]
+    """Leave every other level of a binary tree out: fill `nodes`, see `Tree`; their number.
+
+    A node comes before its children, and its subtree before its next sibling's.
+    """
+    source = np.empty(nodes.shape[0], dtype=np.int64)  # the binary tree's node
+    waiting = np.empty(STACK, dtype=np.int64)
+    children = np.empty(4, dtype=np.int64)
+    source[0] = 0
+    count = 1
+    waiting[0] = 0
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        node = waiting[depth]
+        old = source[node]
+        nodes[node, :15] = boxes[old, :15]
+        child = links[old, 0]
+        if child < 0:
+            nodes[node, 15] = -(64.0 * links[old, 1] + links[old, 2])
+            continue
+        found = 0
+        for half in range(child, child + 2):
+            grandchild = links[half, 0]
+            if grandchild < 0:
+                children[found] = half
+                found += 1
+            else:
+                children[found] = grandchild
+                children[found + 1] = grandchild + 1
+                found += 2
+        nodes[node, 15] = 8.0 * count + found
+        for k in range(found - 1, -1, -1):
+            source[count + k] = children[k]
+            waiting[depth] = count + k
+            depth += 1
+        count += found
+    return count
+
+
 def build(vertices: FloatArray, faces: IntArray, leaf: int = LEAF) -> Tree:
     """PD-tree of the triangles `faces` (m, 3) over `vertices` (n, 3) [m]; leaf < 64."""
     m = len(faces)
     corners = np.ascontiguousarray(vertices[faces].reshape(m, 9))
     centroids = (corners[:, 0:3] + corners[:, 3:6] + corners[:, 6:9]) / 3.0
-    nodes = np.empty((2 * m, 16))
+    boxes = np.empty((2 * m, 15))
     links = np.empty((2 * m, 3), dtype=np.int32)
     order = np.arange(m, dtype=np.int64)
-    count = _build(corners, centroids, nodes, links, order, leaf)
-    nodes, links = nodes[:count].copy(), links[:count]
-    inner = links[:, 0] >= 0
-    nodes[:, 15] = np.where(inner, links[:, 0], -(64.0 * links[:, 1] + links[:, 2]))
-    return Tree(nodes, corners, order)
+    count = _build(corners, centroids, boxes, links, order, leaf)
+    nodes = np.empty((count, 16))
+    kept = _quadruple(boxes, links, nodes)
+    return Tree(nodes[:kept].copy(), corners, order)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -297,9 +347,9 @@ def triangles_below(nodes, node):  # type: ignore[no-untyped-def]
     """First triangle of a subtree and the one after its last: its leaves lie side by side."""
     left = right = node
     while nodes[left, 15] > 0.0:
-        left = int(nodes[left, 15])
+        left = children_of(nodes[left, 15])[0]
     while nodes[right, 15] > 0.0:
-        right = int(nodes[right, 15]) + 1
+        right = children_of(nodes[right, 15])[1] - 1
     return triangles_of(nodes[left, 15])[0], triangles_of(nodes[right, 15])[1]
 
 
@@ -333,10 +383,10 @@ def within(nodes, corners, order, x, y, z, radius, triangles):  # type: ignore[n
                     triangles[found] = order[t]
                 found += 1
         elif link > 0.0:
-            child = int(link)
-            waiting[depth] = child + 1
-            waiting[depth + 1] = child
-            depth += 2
+            first, last = children_of(link)
+            for child in range(last - 1, first - 1, -1):
+                waiting[depth] = child
+                depth += 1
         else:
             first, last = triangles_of(link)
             for t in range(first, last):
@@ -399,41 +449,39 @@ def nearest(nodes, corners, x, y, z, limit, guess, patience):  # type: ignore[no
         if d2 <= best:
             best = d2
             row = guess
-    node = 0
-    depth = 0
-    while True:
+    waiting[0, 0] = waiting[0, 1] = 0.0
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        if waiting[depth, 1] > best:
+            continue
         if patience == 0:
             return best, UNFINISHED
         patience -= 1
-        link = nodes[node, 15]
+        link = nodes[int(waiting[depth, 0]), 15]
         if link > 0.0:
-            child = int(link)
-            d0 = box_distance2(nodes, child, x, y, z)
-            d1 = box_distance2(nodes, child + 1, x, y, z)
-            near, far = child, child + 1
-            if d1 < d0:
-                d0, d1 = d1, d0
-                near, far = far, near
-            if d1 <= best:
-                waiting[depth, 0] = far
-                waiting[depth, 1] = d1
+            first, last = children_of(link)
+            bottom = depth
+            for child in range(first, last):
+                d2 = box_distance2(nodes, child, x, y, z)
+                if d2 > best:
+                    continue
+                place = depth  # the nearest on top
+                while place > bottom and waiting[place - 1, 1] < d2:
+                    waiting[place, 0] = waiting[place - 1, 0]
+                    waiting[place, 1] = waiting[place - 1, 1]
+                    place -= 1
+                waiting[place, 0] = child
+                waiting[place, 1] = d2
                 depth += 1
-            if d0 <= best:
-                node = near
-                continue
-        else:
-            first, last = triangles_of(link)
-            for t in range(first, last):
-                d2 = triangle_distance2(corners, t, x, y, z)
-                if d2 < best or (d2 == best and (row < 0 or t < row)):
-                    best = d2
-                    row = t
-        while depth > 0 and waiting[depth - 1, 1] > best:
-            depth -= 1
-        if depth == 0:
-            return best, row
-        depth -= 1
-        node = int(waiting[depth, 0])
+            continue
+        first, last = triangles_of(link)
+        for t in range(first, last):
+            d2 = triangle_distance2(corners, t, x, y, z)
+            if d2 < best or (d2 == best and (row < 0 or t < row)):
+                best = d2
+                row = t
+    return best, row
 
 
 @njit(cache=True)

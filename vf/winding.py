@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vf.pdtree import STACK, Tree, triangles_of
+from vf.pdtree import STACK, Tree, children_of, triangles_of
 from vf.planes import FloatArray
 
 # A node acts through its moments beyond this many of its radii; measured errors stay below 0.01.
@@ -49,13 +49,13 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
     # Children come after their parents, so a walk from the end finds them done.
     for node in range(nodes.shape[0] - 1, -1, -1):
         link = tree.nodes[node, 15]
-        child = int(link) if link > 0.0 else -1
-        if child >= 0:
-            for side in range(2):
+        if link > 0.0:
+            first, last = children_of(link)
+            for child in range(first, last):
                 for k in range(3):
-                    nodes[node, k] += nodes[child + side, k]
-                    nodes[node, 3 + k] += area[child + side] * nodes[child + side, 3 + k]
-                area[node] += area[child + side]
+                    nodes[node, k] += nodes[child, k]
+                    nodes[node, 3 + k] += area[child] * nodes[child, 3 + k]
+                area[node] += area[child]
         else:
             first, last = triangles_of(link)
             for t in range(first, last):
@@ -80,21 +80,20 @@ def _moments(tree, weights, nodes):  # type: ignore[no-untyped-def]
             else:
                 nodes[node, 3 + k] = box[k]
             spread += (nodes[node, 3 + k] - box[k]) ** 2
-        if child >= 0:
-            for side in range(2):
+        if link > 0.0:
+            for child in range(first, last):
                 for k in range(6):
-                    nodes[node, 7 + k] += nodes[child + side, 7 + k]
+                    nodes[node, 7 + k] += nodes[child, 7 + k]
                 _add_product(
                     nodes[node],
-                    nodes[child + side, 0],
-                    nodes[child + side, 1],
-                    nodes[child + side, 2],
-                    nodes[child + side, 3] - nodes[node, 3],
-                    nodes[child + side, 4] - nodes[node, 4],
-                    nodes[child + side, 5] - nodes[node, 5],
+                    nodes[child, 0],
+                    nodes[child, 1],
+                    nodes[child, 2],
+                    nodes[child, 3] - nodes[node, 3],
+                    nodes[child, 4] - nodes[node, 4],
+                    nodes[child, 5] - nodes[node, 5],
                 )
         else:
-            first, last = triangles_of(link)
             for t in range(first, last):
                 c = tree.corners[t]
                 ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
@@ -149,10 +148,10 @@ def winding_number(tree, dipoles, x, y, z):  # type: ignore[no-untyped-def]
             continue
         link = tree.nodes[node, 15]
         if link > 0.0:
-            child = int(link)
-            stack[depth] = child + 1
-            stack[depth + 1] = child
-            depth += 2
+            first, last = children_of(link)
+            for child in range(first, last):
+                stack[depth] = child
+                depth += 1
             continue
         first, last = triangles_of(link)
         for t in range(first, last):

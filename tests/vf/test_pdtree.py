@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import naive
 import numpy as np
 import pytest
@@ -46,30 +48,37 @@ def _soups() -> dict[str, tuple[np.ndarray, np.ndarray]]:
 SOUPS = _soups()
 
 
-def _depth(links: np.ndarray) -> int:
-    depth = np.zeros(len(links), dtype=int)
-    for node, (child, _first, _count) in enumerate(links):
-        if child >= 0:
-            depth[child] = depth[child + 1] = depth[node] + 1
-    return int(depth.max())
+def _waiting(children: list[range]) -> int:
+    """Nodes that wait at a time in a walk that has one child after the other."""
+    waiting = np.ones(len(children), dtype=int)
+    for node, own in enumerate(children):
+        for child in own:
+            waiting[child] = waiting[node] + len(own) - 1
+    return int(waiting.max())
 
 
 def _links(tree):
-    """(k, 3) first child (−1: leaf), first triangle, count; a node's triangles are its children's.
+    """Children of every node, and first triangle and count (k, 2), which are its children's.
 
     Children come after their parents, so a walk from the end finds them done.
     """
-    links = np.empty((len(tree.nodes), 3), dtype=np.int64)
-    for node in range(len(links) - 1, -1, -1):
+    children = [range(0)] * len(tree.nodes)
+    triangles = np.empty((len(tree.nodes), 2), dtype=np.int64)
+    for node in range(len(children) - 1, -1, -1):
         link = tree.nodes[node, 15]
         assert link == int(link)
         if link > 0:
-            assert node < link < len(links) - 1
-            a, b = links[int(link)], links[int(link) + 1]
-            links[node] = int(link), a[1], a[2] + b[2]
+            first, count = divmod(int(link), 8)
+            assert node < first
+            assert 2 <= count <= 4
+            assert first + count <= len(children)
+            own = children[node] = range(first, first + count)
+            for child, sibling in itertools.pairwise(own):
+                assert triangles[sibling, 0] == triangles[child].sum()
+            triangles[node] = triangles[first, 0], triangles[own, 1].sum()
         else:
-            links[node] = -1, *divmod(int(-link), 64)
-    return links
+            triangles[node] = divmod(int(-link), 64)
+    return children, triangles
 
 
 def check_tree(surface: vf.Surface) -> None:
@@ -80,30 +89,25 @@ def check_tree(surface: vf.Surface) -> None:
     corners = surface.vertices[surface.faces]
     assert (tree.corners.reshape(-1, 3, 3) == corners[tree.order]).all()
 
-    links = _links(tree)
-    child, first, count = links.T
-    inner = child >= 0
-    parents = np.flatnonzero(inner)
-    assert (child[parents] > parents).all()
-    assert (first[child[parents]] == first[parents]).all()
-    assert (first[child[parents] + 1] == first[parents] + count[child[parents]]).all()
-    assert (count[child[parents]] + count[child[parents] + 1] == count[parents]).all()
+    children, triangles = _links(tree)
+    first, count = triangles.T
+    leaves = [node for node, own in enumerate(children) if not own]
+    assert triangles[0].tolist() == [0, m]
     assert (count >= 1).all()
-    assert (count[~inner] <= pdtree.LEAF).all()
+    assert (count[leaves] <= pdtree.LEAF).all()
     covered = np.zeros(m, dtype=int)
-    for leaf in np.flatnonzero(~inner):
+    for leaf in leaves:
         covered[first[leaf] : first[leaf] + count[leaf]] += 1
     assert (covered == 1).all()
     # Each node but the root is the child of exactly one.
-    children = np.concatenate([child[parents], child[parents] + 1])
-    assert (np.sort(children) == np.arange(1, len(links))).all()
+    assert sorted(itertools.chain(*children)) == list(range(1, len(children)))
 
-    assert _depth(links) + 2 <= pdtree.STACK
+    assert _waiting(children) + 1 <= pdtree.STACK
 
     R = tree.nodes[:, 6:15].reshape(-1, 3, 3)
     assert np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
     scale = np.abs(surface.vertices).max()
-    for node in range(len(links)):
+    for node in range(len(children)):
         own = tree.corners[first[node] : first[node] + count[node]].reshape(-1, 3)
         box = tree.nodes[node]
         outside = np.abs((own - box[:3]) @ R[node].T) - box[3:6]
