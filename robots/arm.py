@@ -139,8 +139,8 @@ class Arm:
 
     def _checked(self, q: ArrayLike) -> FloatArray:
         vector = np.asarray(q, dtype=np.float64)
-        # The dot product is the cheapest finite test: any NaN or infinity survives in it.
-        if vector.shape != self._shape or not isfinite(vector.dot(vector)):
+        # The cheapest finite test: any NaN or infinity survives in a sum.
+        if vector.shape != self._shape or not isfinite(sum(vector.tolist())):
             raise ValueError(
                 f"{self.name} needs {self._shape[0]} finite joint values "
                 f"({', '.join(self.joints)}), got {q!r}"

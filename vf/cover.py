@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
 from vf.pdtree import (
-    Tree,
     box_distance2,
     children_of,
     triangle_at,
@@ -148,7 +147,7 @@ class Buffer:
         )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
     i = size
     while i > 0:
@@ -162,29 +161,24 @@ def _push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
     items[i] = item
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _pop(keys, items, size):  # type: ignore[no-untyped-def]
     """Remove the root of a heap of `size` entries (read it before)."""
     size -= 1
-    key = keys[size]
-    item = items[size]
+    # The hole goes down to a leaf, and the last entry, which belongs near the leaves, goes in
+    # there: that way hardly a comparison has an outcome that the processor could not foresee.
     i = 0
-    while True:
-        child = 2 * i + 1
-        if child >= size:
-            break
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
+    child = 1
+    while child < size:
+        child += keys[child + 1] < keys[child]  # at most the last entry itself
         keys[i] = keys[child]
         items[i] = items[child]
         i = child
-    keys[i] = key
-    items[i] = item
+        child = 2 * i + 1
+    _push(keys, items, i, keys[size], items[size])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _less(d2, rim, far):  # type: ignore[no-untyped-def]
     """Share of a bump that does not count at a squared distance: 1 up to `rim`, 0 from `far` on."""
     if d2 >= far * far:
@@ -194,7 +188,7 @@ def _less(d2, rim, far):  # type: ignore[no-untyped-def]
     return (far - np.sqrt(d2)) / (far - rim)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _box_behind(nodes, node, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
     """Whether a node's box is wholly behind one of the planes seen … m − 1."""
     cx, cy, cz = nodes[node, 0], nodes[node, 1], nodes[node, 2]
@@ -214,7 +208,7 @@ def _box_behind(nodes, node, normals, limits, bumps, less, seen, m):  # type: ig
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _triangle_behind(corners, t, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
     """Whether a triangle is wholly behind one of the planes seen … m − 1: most need no clipping."""
     for i in range(seen, m):
@@ -308,7 +302,6 @@ def _cover(  # type: ignore[no-untyped-def]
     normals, offsets, points, triangles, rules,
 ):  # fmt: skip
     """Fill the fields of `Planes`, see `certified_planes`; their number and the valid radius."""
-    tree = Tree(nodes, corners, order)
     budget = offsets.shape[0]
     x, y, z = p[0], p[1], p[2]
     reach = radius + tip_radius
@@ -328,7 +321,7 @@ def _cover(  # type: ignore[no-untyped-def]
     valid = radius
     size = 0
     # The nearest of what was just opened is often the nearest of all: it need not queue.
-    next2 = box_distance2(tree.nodes, 0, x, y, z)
+    next2 = box_distance2(nodes, 0, x, y, z)
     next_item = 0
     while True:
         d2 = next2
@@ -348,9 +341,9 @@ def _cover(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = _less(d2, tip_radius, far)
         if item >= 0:
-            if _box_behind(tree.nodes, item, normals, limits, bumps, less, seen, m):
+            if _box_behind(nodes, item, normals, limits, bumps, less, seen, m):
                 continue
-            link = tree.nodes[item, 15]
+            link = nodes[item, 15]
             if link > 0.0:
                 first, last = children_of(link)
             else:
@@ -360,15 +353,15 @@ def _cover(  # type: ignore[no-untyped-def]
                 break
             for entry in range(first, last):
                 if link > 0.0:
-                    e2 = box_distance2(tree.nodes, entry, x, y, z)
+                    e2 = box_distance2(nodes, entry, x, y, z)
                     if e2 <= reach2 and _box_behind(
-                        tree.nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
+                        nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
                     ):
                         continue
                 else:
-                    if _triangle_behind(tree.corners, entry, normals, limits, bumps, less, 0, m):
+                    if _triangle_behind(corners, entry, normals, limits, bumps, less, 0, m):
                         continue
-                    e2 = triangle_distance2(tree.corners, entry, x, y, z)
+                    e2 = triangle_distance2(corners, entry, x, y, z)
                 # A box's bound may round to just above its parent's triangles: never go back.
                 e2 = max(e2, d2)
                 if e2 > reach2:
@@ -383,10 +376,10 @@ def _cover(  # type: ignore[no-untyped-def]
             continue
 
         t = -1 - item
-        if _triangle_behind(tree.corners, t, normals, limits, bumps, less, seen, m):
+        if _triangle_behind(corners, t, normals, limits, bumps, less, seen, m):
             continue
         corners_left, swapped = _remainder(
-            tree.corners, t, normals, limits, bumps, less, m, polygon, spare
+            corners, t, normals, limits, bumps, less, m, polygon, spare
         )
         if corners_left == 0:
             continue
@@ -398,7 +391,8 @@ def _cover(  # type: ignore[no-untyped-def]
             valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = _separate(
-            tree,
+            corners,
+            order,
             edges,
             t,
             rest,
@@ -431,7 +425,7 @@ def _cover(  # type: ignore[no-untyped-def]
         limits[m] = max(limit, base + rounding)
         bumps[m] = min(BUMP * min(max(space, 0.0), standoff), limits[m] - base - rounding)
         points[m, 0], points[m, 1], points[m, 2] = px, py, pz
-        triangles[m] = tree.order[t]
+        triangles[m] = order[t]
         rules[m] = rule
         m += 1
     return m, valid
@@ -451,14 +445,14 @@ def _cover_held(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _separate(  # type: ignore[no-untyped-def]
-    tree, edges, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z
+    corners, order, edges, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z
 ):
     """A plane with the `rest` of triangle t behind it: rule, normal, base offset, point.
 
     The base is the largest n·z over the corners, so it bounds the triangle whatever was rounded.
     """
-    c = tree.corners[t]
-    qx, qy, qz, feature, d2 = triangle_at(tree.corners, t, x, y, z)
+    c = corners[t]
+    qx, qy, qz, feature, d2 = triangle_at(corners, t, x, y, z)
     d = np.sqrt(d2)
     ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
     vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
@@ -477,7 +471,7 @@ def _separate(  # type: ignore[no-untyped-def]
             s = nx * x + ny * y + nz * z - base
             if feature == 0 and s > 0.0:
                 return 1, nx, ny, nz, base, qx, qy, qz
-            i = tree.order[t]
+            i = order[t]
             valley = False
             if 1 <= feature <= 3:
                 valley = edges[i, feature - 1] == 1

@@ -5,6 +5,9 @@ the mean along the first direction, and each half once more along its own: a nod
 children, which is a walk of half as many steps for little more than the same boxes. A leaf holds a
 handful of triangles. Everything lies in flat arrays, siblings and their triangles side by side.
 
+Small kernels are left to LLVM to inline: numba's own inlining counts references to arrays at every
+use, which made the walk of `vf.cover` a quarter slower.
+
 After the covariance trees of the paper's section III-A.
 """
 
@@ -44,7 +47,7 @@ class Tree(NamedTuple):
     order: IntArray
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def children_of(link):  # type: ignore[no-untyped-def]
     """First child of an inner node and the one after its last, from the link of the node."""
     code = int(link)
@@ -52,7 +55,7 @@ def children_of(link):  # type: ignore[no-untyped-def]
     return first, first + (code & 7)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def triangles_of(link):  # type: ignore[no-untyped-def]
     """First triangle of a leaf and the one after its last, from the link of its node."""
     code = int(-link)
@@ -276,7 +279,7 @@ def build(vertices: FloatArray, faces: IntArray, leaf: int = LEAF) -> Tree:
     return Tree(nodes[:kept].copy(), corners, order)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def box_distance2(nodes, node, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance of a point to the box of a node (0 inside)."""
     dx, dy, dz = x - nodes[node, 0], y - nodes[node, 1], z - nodes[node, 2]
@@ -289,7 +292,7 @@ def box_distance2(nodes, node, x, y, z):  # type: ignore[no-untyped-def]
     return d2
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def triangle_at(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     """`closest_on_triangle` for row t of tree-ordered corners."""
     return closest_on_triangle(
@@ -308,7 +311,7 @@ def triangle_at(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def triangle_distance2(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     """`distance2_to_triangle` for row t of tree-ordered corners."""
     return distance2_to_triangle(
@@ -327,7 +330,7 @@ def triangle_distance2(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def box_distances2(nodes, node, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance of a point to the box of a node (0 inside), and to its farthest corner."""
     dx, dy, dz = x - nodes[node, 0], y - nodes[node, 1], z - nodes[node, 2]
@@ -342,7 +345,7 @@ def box_distances2(nodes, node, x, y, z):  # type: ignore[no-untyped-def]
     return near2, far2
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def triangles_below(nodes, node):  # type: ignore[no-untyped-def]
     """First triangle of a subtree and the one after its last: its leaves lie side by side."""
     left = right = node
