@@ -203,9 +203,9 @@ def _planes(bodies: Bodies, radius: float) -> list[Peer]:
             ours=True,
         ),
         Peer(
-            "vf: Surface.within",
-            lambda k: surface.within(points[k], radius),
-            lambda _contacts: None,
+            "vf: Surface.within, points read",
+            lambda k: surface.within(points[k], radius).points,
+            lambda _points: None,
             "what the paper's rule has to list first",
             ours=True,
         ),

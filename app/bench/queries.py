@@ -245,9 +245,16 @@ def ball(bodies: Bodies, held: Holders, radius: float) -> list[Peer]:
             "vf: Surface.within",
             lambda k: surface.within(points[k], radius),
             lambda contacts: np.sort(contacts.triangles),
-            "triangles, closest points, features, distances",
+            "double; triangles, the rest when asked for",
             ours=True,
-        )
+        ),
+        Peer(
+            "vf: Surface.within, points and distances read",
+            lambda k: _everything(surface.within(points[k], radius)),
+            np.sort,
+            "double; triangles, closest points, features, distances",
+            ours=True,
+        ),
     ]
     if held.fcpw is not None:
         fcpw = held.fcpw
@@ -302,6 +309,12 @@ def ball(bodies: Bodies, held: Holders, radius: float) -> list[Peer]:
             Peer("trimesh: triangles_tree, then closest_point", ask_trimesh, np.sort, "in mm")
         )
     return peers
+
+
+def _everything(contacts: vf.Contacts) -> NDArray[np.int64]:
+    """The triangles, once closest points, features and distances are there too."""
+    assert len(contacts.points) == len(contacts.features) == len(contacts.distances)
+    return contacts.triangles
 
 
 def _fcpw_triangles(found: Any) -> list[int]:

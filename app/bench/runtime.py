@@ -241,6 +241,7 @@ def _stages(cell: Cell, tips: list[FloatArray], radius: float) -> dict[str, floa
     for x in tips:
         a = perf_counter()
         contacts = surface.within(x, radius)
+        assert len(contacts.points) == len(contacts)  # the rule needs them too
         b = perf_counter()
         surface.inside(x)
         c = perf_counter()

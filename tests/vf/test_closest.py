@@ -11,6 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import vf
+from vf.closest import distance2_to_triangle
 
 FEATURE_OF_WEIGHTS = {
     (True, True, True): vf.Feature.FACE,
@@ -147,3 +148,34 @@ def test_the_order_of_the_corners_does_not_matter():
             other, _, d = vf.closest_point(triangle[order], x)
             assert np.allclose(other, point, atol=1e-12)
             assert d == pytest.approx(distance, abs=1e-12)
+
+
+# The squared distance alone, which the walks of the tree ask for.
+
+
+@naive.PROPERTY
+@given(triangles, points)
+@example(np.zeros((3, 3)), np.array([1.0, 2.0, 3.0]))
+@example(np.array([[0, 0, 0], [2, 2, 2], [1, 1, 1]], dtype=float), np.array([1.0, 0.0, 0.0]))
+def test_the_squared_distance_alone_matches_exact_arithmetic(triangle, x):
+    _, square = naive.exact_closest(triangle, x)
+    found = distance2_to_triangle(*triangle.ravel(), *x)
+    assert found == pytest.approx(float(square), rel=1e-12, abs=1e-12), (triangle, x)
+
+
+@pytest.mark.parametrize("sine", [1.0, 0.1, 0.02, 0.0101, 0.0099, 1e-3, 1e-5])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_the_squared_distance_alone_of_sharp_triangles(sine, scale):
+    """Sharp at each of the corners, on both sides of where the formula changes; near and far."""
+    rng = np.random.default_rng(8)
+    for trial in range(60):
+        long, short = 1.0, rng.uniform(0.2, 1.0)
+        flat = np.array([[0, 0, 0], [long, 0, 0], [short * np.sqrt(1 - sine**2), short * sine, 0]])
+        triangle = np.roll(scale * flat @ naive.rotation(rng).T + scale * rng.normal(size=3), trial)
+        distance = scale * 10.0 ** rng.uniform(-6, 1)
+        x = rng.dirichlet((1, 1, 1)) @ triangle + naive.unit(rng) * distance
+        _, square = naive.exact_closest(triangle, x)
+        found = distance2_to_triangle(*triangle.ravel(), *x)
+        # Coordinates are of the size of `scale`, and so is their rounding.
+        tolerance = scale * 1e-14 / sine + 1e-11 * distance
+        assert abs(sqrt(found) - sqrt(square)) <= tolerance, (triangle.tolist(), x.tolist())

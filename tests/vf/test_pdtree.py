@@ -194,9 +194,64 @@ def test_the_ball_is_closed():
     assert len(surface.within([0.25, 0.25, 0.0], 0.0)) == 1
 
 
-def test_more_contacts_than_the_first_buffer_holds():
-    surface = vf.Surface.from_arrays(*SOUPS["all equal"])
-    assert (np.sort(surface.within([0, 0, 0], 100.0).triangles) == np.arange(1000)).all()
+@pytest.mark.parametrize("radius", [100.0, 2.0, 1.01])
+def test_more_contacts_than_the_first_buffer_holds(radius):
+    """The ball around all, whose boxes are taken whole, and balls with boxes on the rim."""
+    ball = trimesh.creation.icosphere(subdivisions=5)  # 20,480 triangles
+    surface = vf.Surface.from_arrays(ball.vertices, ball.faces)
+    x = [0.5, 0.0, 0.0]
+    contacts = surface.within(x, radius)
+    ids, distances = naive.Brute(surface).within(x, radius)
+    ids, distances = ids[distances <= radius], distances[distances <= radius]
+    assert len(ids) > 2048
+    order = np.argsort(contacts.triangles)
+    assert (contacts.triangles[order] == np.sort(ids)).all()
+    assert contacts.distances[order] == pytest.approx(distances[np.argsort(ids)], abs=1e-13)
+
+
+def test_contacts_say_where_they_are_closest_though_the_centre_has_moved_on():
+    surface = vf.Surface.from_arrays(*SOUPS["flat grid"])
+    corners = surface.vertices[surface.faces]
+    x = np.array([3.3, 4.6, 0.7])
+    contacts = surface.within(x, 2.0)
+    centre = x.copy()
+    x += 100.0
+    assert len(contacts) > 5
+    for row, triangle in enumerate(contacts.triangles):
+        point, distances = naive.closest(corners[[triangle]], centre)
+        assert contacts.points[row] == pytest.approx(point[0], abs=1e-12)
+        assert contacts.distances[row] == pytest.approx(distances[0], abs=1e-12)
+        single = vf.closest_point(corners[triangle], centre)
+        assert contacts.features[row] == single[1]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        np.array([[1.0, 9.0], [2.0, 9.0], [3.0, 9.0]])[:, 0],  # a column
+        np.array([3.0, 2.0, 1.0])[::-1],
+        np.array([1, 2, 3]),
+        np.array([1, 2, 3], dtype=np.float32),
+        np.array([1.0, 2.0, 3.0], dtype=">f8"),
+        [1, 2, 3],
+        (1.0, 2.0, 3.0),
+    ],
+    ids=["column", "reversed", "integers", "single", "big-endian", "list", "tuple"],
+)
+def test_a_point_may_come_as_any_array(given):
+    """The compiled queries are called without numba's look at the types of their arguments."""
+    surface = vf.Surface.from_arrays(*SOUPS["flat grid"])
+    x = np.array([1.0, 2.0, 3.0])
+    kept = np.array(given)
+    distance, triangle, point = surface.nearest(given)
+    assert (distance, triangle) == surface.nearest(x)[:2]
+    assert (point == surface.nearest(x)[2]).all()
+    assert (np.asarray(given) == kept).all()
+    for radius in (4.0, 4):
+        assert (surface.within(given, radius).triangles == surface.within(x, 4.0).triangles).all()
+    for limit in (4, np.float32(4.0), np.int64(4)):
+        assert surface.nearest(given, limit)[:2] == (distance, triangle)
+    assert surface.nearest(given, 1)[1] == -1
 
 
 def test_nearest_within_a_limit():
