@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import replace
 
 import naive
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import vf
+from vf import cover
 from vf.cover import BUDGET
 
 UM = 1e-6
@@ -352,3 +354,26 @@ def test_bad_input_is_refused_by_its_value(change, word):
     solid = trimesh.creation.box((2, 2, 2))
     with pytest.raises(ValueError, match=word):
         vf.certified_planes(vf.Surface.from_arrays(solid.vertices, solid.faces), **(good | change))
+
+
+def test_the_queue_gives_the_nearest_first_whatever_comes_and_goes():
+    """Against heapq, with ties, from empty to some hundred entries and back."""
+    rng = np.random.default_rng(3)
+    keys, items = np.full(512, np.nan), np.full(512, -1)
+    expected: list[tuple[float, int]] = []
+    size = 0
+    for turn in range(5_000):
+        growing = turn % 1000 < 500
+        if size == 0 or (size < 500 and rng.random() < (0.7 if growing else 0.3)):
+            key = float(rng.integers(50))
+            cover._push(keys, items, size, key, turn)
+            heapq.heappush(expected, (key, turn))
+            size += 1
+        else:
+            key, item = float(keys[0]), int(items[0])
+            cover._pop(keys, items, size)
+            size -= 1
+            assert key == expected[0][0]
+            expected.remove((key, item))
+            heapq.heapify(expected)
+        assert sorted(zip(keys[:size], items[:size], strict=True)) == sorted(expected)
