@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 def pick(surface: vf.Surface, origin: ArrayLike, direction: ArrayLike) -> int:
     """The first triangle that a ray from origin (3,) [m] meets, −1: none.
 
-    All nodes of one depth at a time, so a million triangles take some twenty numpy steps.
+    All nodes of one depth at a time, so a million triangles take some ten numpy steps.
 
     Raises:
         ValueError: the ray is not made of finite numbers, or has no direction.
@@ -33,7 +33,8 @@ def pick(surface: vf.Surface, origin: ArrayLike, direction: ArrayLike) -> int:
         link = tree.nodes[nodes, 15].astype(np.int64)
         leaves.append(-link[link <= 0])
         inner = link[link > 0]
-        nodes = np.concatenate([inner, inner + 1])
+        first, count = inner >> 3, inner & 7
+        nodes = np.concatenate([first[count > k] + k for k in range(4)])
     at = np.concatenate(leaves)
     rows = [np.arange(code // 64, code // 64 + code % 64) for code in at]
     if not rows:
