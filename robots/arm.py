@@ -34,6 +34,7 @@ class Arm:
         joints:   joint names, in the order of the joint vector.
         lower, upper: position limits [rad or m].
         velocity: speed limits [rad/s or m/s].
+        revolute: 1 for a revolute joint, 0 for a prismatic one.
         neutral:  the rest pose, within the limits.
     """
 
@@ -55,6 +56,8 @@ class Arm:
         self.lower = _read_only(model.lowerPositionLimit)
         self.upper = _read_only(model.upperPositionLimit)
         self.velocity = _read_only(model.velocityLimit)
+        kinds = [joint.shortname() for joint in model.joints][1:]
+        self.revolute = _read_only([0.0 if kind.startswith("JointModelP") else 1.0 for kind in kinds])
         self._shape = (model.nq,)
         self._model = model
         self._data = model.createData()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from math import inf, isfinite
+from math import inf, isfinite, nan
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -19,6 +19,7 @@ from vf.cover import BUDGET, Buffer
 from vf.fixtures import ON_SURFACE, RULES, Filling, Fixture, MeshFixture
 from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes
+from vf.problem import JOINT_RANGE
 from vf.qp import ConstrainedLeastSquares, Solver
 from vf.qp_kernels import attempt
 from vf.surface import Surface
@@ -30,6 +31,8 @@ NEGLIGIBLE = 0.1
 # quicker there, and jumpier over ridges.
 LOOK_AHEAD = 2.0
 BISECTIONS = 12
+# How often a step is shortened to where the true tip keeps to the motion sphere and to its speed.
+SHORTER = 4
 
 
 class Status(IntEnum):
@@ -69,7 +72,7 @@ class Settings:
             speed limits count.
 
     Raises:
-        ValueError: a value that is not finite (but for `tip_speed`) or out of its range.
+        ValueError: a value that is no number or out of its range.
     """
 
     dt: float = 1e-3
@@ -82,14 +85,32 @@ class Settings:
     tip_speed: float = inf
 
     def __post_init__(self) -> None:
-        strict = {"dt", "standoff", "rotation_length", "damping", "tip_speed"}
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name == "tip_speed" and value == inf:
-                continue
-            if not isfinite(value) or value < 0.0 or (value == 0.0 and field.name in strict):
-                kind = "positive" if field.name in strict else "zero or more"
-                raise ValueError(f"{field.name} must be finite and {kind}, got {value!r}")
+            low, high, unit = RANGES[field.name]
+            try:
+                # A float whatever kind of number came: kernels are compiled anew for any other.
+                number = float(value)
+            except (TypeError, ValueError):
+                number = nan
+            if not low <= number <= high:
+                raise ValueError(
+                    f"{field.name} must be a number from {low:g} to {high:g}{unit}, got {value!r}"
+                )
+            object.__setattr__(self, field.name, number)
+
+
+# Lowest and highest value and the unit of each of the `Settings`.
+RANGES = {
+    "dt": (1e-6, 10.0, " s"),
+    "standoff": (1e-9, 1.0, " m"),
+    "tip_radius": (0.0, 1.0, " m"),
+    "rotation_length": (1e-6, 1e3, " m/rad"),
+    "damping": (1e-15, 1e3, " m²"),
+    "force_gain": (0.0, 1e6, " N/m"),
+    "force_cap": (0.0, 1e6, " N"),
+    "tip_speed": (1e-9, inf, " m/s"),
+}
 
 
 @dataclass(frozen=True, init=False)
@@ -225,10 +246,20 @@ class Controller:
         self._lower, self._upper = self._table[problem.LOWER], self._table[problem.UPPER]
         s = self.settings
         self._numbers = np.zeros(problem.NUMBERS)
-        self._numbers[problem.STANDOFF :] = (
+        # Whether a fixture promises anything of the tip's path, and not only of where it ends.
+        guarded = any(getattr(fixture, "fills", False) for fixture in self.fixtures)
+        self._numbers[problem.STANDOFF : problem.BULGE] = (
             s.standoff, s.tip_radius, s.rotation_length, s.damping, s.force_gain, s.force_cap,
-            self._tip_reach,
+            self._tip_reach, guarded,
         )  # fmt: skip
+        # A joint of an arm that does not say what it is counts as revolute: that bends more.
+        revolute = getattr(arm, "revolute", np.ones(n))
+        self._table[problem.REVOLUTE] = revolute
+        # The ball searched is larger than the motion sphere by what the path of a step at full
+        # speed leaves its chord; a step that bends more is shortened.
+        _, J = arm.kinematics(0.5 * (arm.lower + arm.upper))
+        self._bulge = 1.5 * problem.sagitta(J, self._reach, 1.0, self._table[problem.REVOLUTE])
+        self._bulge *= guarded
         queries = max(len(self.fixtures), 1)
         self._reserve(queries * BUDGET)
         self._buffer = Buffer(queries)
@@ -273,13 +304,22 @@ class Controller:
         self.step(q, T)
 
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:
-        """One tick from joint positions q (n,) towards the tip pose `target`, base frame."""
+        """One tick from joint positions q (n,) towards the tip pose `target`, base frame.
+
+        Raises nothing: what cannot be used as one or the other is REFUSED.
+        """
         started = perf_counter()
         s = self.settings
-        q = np.array(q, dtype=np.float64)
-        if q.shape != self._reach.shape or not isfinite(sum(q.tolist())):
+        try:
+            q = np.array(q, dtype=np.float64)
+        except (TypeError, ValueError):
+            return self._refused(np.full(len(self._reach), nan), started)
+        # Rounding of the sines of larger angles would be as large as what is guarded.
+        if q.shape != self._reach.shape or not sum(map(abs, q.tolist())) <= JOINT_RANGE:
             return self._refused(q, started)
         T, J = self.arm.kinematics(q)
+        if not isinstance(target, pin.SE3):
+            return self._refused(q, started, T)
         x = T.translation
         pose, goal = T.homogeneous, target.homogeneous
         time_kinematics = perf_counter()
@@ -287,21 +327,27 @@ class Controller:
         radius = self._asked or self._farthest(J)
         inside = self._sides(q, x)
         planes: Planes | None = None
-        found = None if True in inside else self._filled(x, radius)
+        # More than a quarter would cost more planes than a longer step is worth.
+        searched = radius + min(self._bulge, 0.25 * radius)
+        found = None if True in inside else self._filled(x, searched)
         if found is not None:
             half: Planes | Buffer = self._buffer
             m, reach = found
         else:
-            planes = self._planes(x, radius, inside)
-            half, m, reach = planes, len(planes), planes.radius
+            half = planes = self._planes(x, searched, inside)
+            m, reach = len(planes), planes.radius
             if m > self._qp.rows:
                 self._reserve(2 * m)
+        # The path may use all of `reach`; the step ends within the motion sphere.
+        allowed_radius = min(reach, radius)
+        floors = half.floors if half.floors is not None else self._none[:m]
+        limits = (reach, min(allowed_radius, self._tip_reach))
         time_planes = perf_counter()
 
         q_new = np.empty(len(q))
         code, count, distance, deficit, moves = problem.plan(
-            q, pose, J, goal, half.normals, half.offsets, half.points, half.rules, m, reach,
-            self._table, self._numbers, self._rows, self._bounds,
+            q, pose, J, goal, half.normals, half.offsets, half.points, half.rules, m,
+            allowed_radius, self._table, self._numbers, self._rows, self._bounds,
             self._qp.scratch, self._qp.multipliers, q_new,
         )  # fmt: skip
         if code < 0:
@@ -326,17 +372,17 @@ class Controller:
         out = np.empty(3 + len(q) + (m if planes is not None else 10 * m))
         allowed = problem.report(
             q_new, pose, pose_new, goal,
-            half.normals, half.offsets, half.points, half.triangles, half.rules, m, reach,
-            self._table, self._numbers, multipliers, moves, planes is None, out,
+            half.normals, half.offsets, half.points, half.triangles, half.rules, floors, m,
+            *limits, self._table, self._numbers, multipliers, moves, planes is None, out,
         )  # fmt: skip
         if moves and not (allowed and self._no_deeper(T_new, x, inside)):
             multipliers = multipliers.copy()
             kept = planes if planes is not None else self._buffer.cut(m, reach)
-            q_new, T_new, share = self._less(q, T, T_new, x, J, kept, inside)
+            q_new, T_new, share = self._less(q, T, T_new, x, J, kept, floors, limits, inside)
             problem.report(
                 q_new, pose, T_new.homogeneous, goal,
-                half.normals, half.offsets, half.points, half.triangles, half.rules, m, reach,
-                self._table, self._numbers, multipliers, False, planes is None, out,
+                half.normals, half.offsets, half.points, half.triangles, half.rules, floors, m,
+                *limits, self._table, self._numbers, multipliers, False, planes is None, out,
             )  # fmt: skip
         q_new.setflags(write=False)  # half the time of `flags.writeable`
         out.setflags(write=False)
@@ -354,12 +400,12 @@ class Controller:
             self._known = (q_new.tobytes(), inside)
         fields: dict[str, Any] = {
             "q": q_new, "tip": T_new, "status": status, "solver": solver,
-            "radius": radius, "distance": distance, "_out": out, "_m": m, "_reach": reach,
+            "radius": radius, "distance": distance, "_out": out, "_m": m, "_reach": allowed_radius,
         }  # fmt: skip
         if planes is not None:
             for array in (planes.normals, planes.offsets, planes.points):
                 array.flags.writeable = False
-            fields["planes"] = planes
+            fields["planes"] = replace(planes, radius=allowed_radius)
         done = perf_counter()
         fields["_times"] = (
             time_kinematics - started,
@@ -375,6 +421,7 @@ class Controller:
         self._qp.reserve(rows)
         self._rows = np.empty((rows, self._qp.n))
         self._bounds = np.empty(rows)
+        self._none = np.full(rows, -inf)  # floors of planes that have none
 
     def _farthest(self, J: FloatArray) -> float:
         """The motion sphere where no fixture asks for one: as far as a tick can go."""
@@ -429,43 +476,84 @@ class Controller:
         x: FloatArray,
         J: FloatArray,
         planes: Planes,
+        floors: FloatArray,
+        limits: tuple[float, float],
         inside: tuple[bool, ...],
     ) -> tuple[FloatArray, pin.SE3, float]:
         """Where the optimum may not be taken: joint positions that may, their pose, and the share.
 
         The optimum was shortened, all joints alike, to what they can do in a tick and what the tip
         may: it obeys the rows at any length, and the tip heads for where it will end. Tried in this
-        order: the same with the rows moved by the linearisation error just seen; ever shorter parts
-        of the first; standing still. The true tip of what is taken obeys every plane and the ball.
+        order: the same a little shorter, where only the true tip went farther than the linear one;
+        with the rows moved by the linearisation error just seen; ever shorter parts of the first;
+        standing still. The true tip of what is taken obeys every plane and the ball, and so does
+        its path from here.
         """
         paced = problem.pace(self._qp.dq, self._reach, J, self._tip_reach)
         dq = paced * self._qp.dq
         m = len(planes)
-        error = T_tried.translation - x - J[:3] @ dq
+        y = T_tried.translation
+        revolute = self._table[problem.REVOLUTE]
+        guarded = self._numbers[problem.GUARDED] > 0.0
+
+        def allowed(T_new: pin.SE3, share: float) -> bool:
+            bulge = problem.sagitta(J, dq, share, revolute) if guarded else 0.0
+            return self._allowed(T_new, x, planes, floors, limits, bulge, inside)
+
+        length = float(np.linalg.norm(y - x))
+        if length > limits[1]:
+            for _ in range(SHORTER):
+                shorter = (1.0 - 1e-9) * limits[1] / length
+                q_new = self._within_limits(q, q + shorter * dq)
+                T_new = self.arm.tip(q_new)
+                if allowed(T_new, shorter):
+                    return q_new, T_new, 1.0
+                dq = shorter * dq
+                length = float(np.linalg.norm(T_new.translation - x))
+                if length <= limits[1]:
+                    break
+        error = y - x - J[:3] @ (paced * self._qp.dq)
         bounds = (self._bounds[:m] - planes.normals @ error) / paced
         if self._solve(bounds, m) is not Solver.INFEASIBLE:
             q_second = np.empty(len(q))
             problem.move(q, J, self._qp.scratch, self._table, self._numbers, q_second)
             T_new = self.arm.tip(q_second)
-            if self._allowed(T_new, x, planes, inside):
+            bulge = float(self._numbers[problem.BULGE])
+            if self._allowed(T_new, x, planes, floors, limits, bulge, inside):
                 return q_second, T_new, 1.0
         low, high = 0.0, 1.0
         best = (q, T, 0.0)
         for _ in range(BISECTIONS):
             share = 0.5 * (low + high)
-            T_new = self.arm.tip(q + share * dq)
-            if self._allowed(T_new, x, planes, inside):
-                best = (q + share * dq, T_new, share)
+            q_new = self._within_limits(q, q + share * dq)
+            T_new = self.arm.tip(q_new)
+            if allowed(T_new, share):
+                best = (q_new, T_new, share)
                 low = share
             else:
                 high = share
         return best
 
+    def _within_limits(self, q: FloatArray, q_new: FloatArray) -> FloatArray:
+        """q_new (n,), no joint farther beyond its limits than it is at q."""
+        lowest = np.minimum(self.arm.lower, q)
+        highest = np.maximum(self.arm.upper, q)
+        return np.clip(q_new, lowest, highest)
+
     def _allowed(
-        self, T_new: pin.SE3, x: FloatArray, planes: Planes, inside: tuple[bool, ...]
+        self,
+        T_new: pin.SE3,
+        x: FloatArray,
+        planes: Planes,
+        floors: FloatArray,
+        limits: tuple[float, float],
+        bulge: float,
+        inside: tuple[bool, ...],
     ) -> bool:
         y = T_new.translation
-        if not problem.obeys(planes.normals, planes.offsets, len(planes), planes.radius, x, y):
+        if not problem.obeys(
+            planes.normals, planes.offsets, floors, len(planes), *limits, x, y, bulge
+        ):
             return False
         return self._no_deeper(T_new, x, inside)
 
@@ -513,4 +601,7 @@ def _join(parts: Sequence[Planes], radius: float) -> Planes:
         np.concatenate([p.triangles for p in parts]),
         np.concatenate([p.rules for p in parts]),
         min(p.radius for p in parts),
+        np.concatenate(
+            [p.floors if p.floors is not None else np.full(len(p), -inf) for p in parts]
+        ),
     )

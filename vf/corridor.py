@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from vf.cover import VALLEY_ROOM, YIELD, Buffer
+from vf.cover import VALLEY_ROOM, YIELD, YIELD_SHARE, Buffer
 from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length
 
 BUDGET = 32  # planes at most; a buffer has room for more
@@ -306,6 +306,7 @@ def _planes(  # type: ignore[no-untyped-def]
     out_points,
     out_triangles,
     out_rules,
+    out_floors,
 ):
     """The planes into the fields of a buffer: the certified cover of `vf.cover`, of flat pieces
     instead of triangles. What is left of a piece behind a plane is a piece again, so t runs over
@@ -318,6 +319,7 @@ def _planes(  # type: ignore[no-untyped-def]
     offsets = np.empty(BUDGET)
     feet = np.empty((BUDGET, 2))
     limits = np.empty(BUDGET)
+    floors = np.empty(BUDGET)
     m = 0
     valid = radius
     room, px, py, nx, ny = _room(starts, ends, normals, sides, x, y)
@@ -329,6 +331,7 @@ def _planes(  # type: ignore[no-untyped-def]
         # The controller asks to be at the standoff from this foot, in one tick by half.
         back = min(2.0 * LED_BACK, max(-room, 0.0) + standoff + tip_radius) - standoff - tip_radius
         feet[0, 0], feet[0, 1] = x + back * nx, y + back * ny
+        floors[0] = -np.inf
         m = 1
         valid = min(radius, max(-room, 0.0) + width)
     else:
@@ -381,11 +384,12 @@ def _planes(  # type: ignore[no-untyped-def]
                 nx, ny = (x - cx) / d, (y - cy) / d
                 base = max(nx * rx + ny * ry, nx * sx + ny * sy)
                 space = nx * x + ny * y - base - tip_radius
-            if space > standoff:
-                offsets[m] = base + tip_radius + standoff
-            else:
-                offsets[m] = nx * x + ny * y - min(YIELD, 0.1 * max(space, 0.0))
+            # The tip overlaps the wall where there is no space: the claim is then about its centre.
+            clear = space if space > HAIR else space + tip_radius
+            stand = nx * x + ny * y - min(YIELD, YIELD_SHARE * max(clear, 0.0))
+            offsets[m] = min(base + tip_radius + max(standoff, HAIR), stand)
             limits[m] = base + 1e-14
+            floors[m] = limits[m] + (tip_radius if space > HAIR else 0.0)
             flat[m, 0], flat[m, 1] = nx, ny
             feet[m, 0], feet[m, 1] = cx, cy
             m += 1
@@ -398,4 +402,5 @@ def _planes(  # type: ignore[no-untyped-def]
         out_offsets[i] = offsets[i]
         out_triangles[i] = -1
         out_rules[i] = CORRIDOR
+        out_floors[i] = floors[i]
     return m, valid

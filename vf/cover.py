@@ -9,6 +9,10 @@ point of the mesh in C would be in the ball and strictly behind some plane: a co
 For a tip of radius ρ read "within ρ of the segment" for "touches": the ball searched has radius
 r + ρ and "behind" is judged against o − ρ.
 
+In floating point: n·z of a point with coordinates up to M is known to within `ROUND`·M. Whatever
+counts as behind a plane is behind it by more than that, a plane stands in front of what is behind
+it by several times that, and the ball searched is larger by what a distance can be wrong.
+
 The planes come from one best-first walk of the PD-tree. Planes only accumulate and distances only
 grow, so what is behind a plane when it is met never needs another look.
 """
@@ -19,8 +23,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from vf.closest import closest_on_triangle
+from vf.closest import closest_on_triangle, distance_error
 from vf.pdtree import (
+    EXACT,
     box_distance2,
     children_of,
     triangle_at,
@@ -28,7 +33,7 @@ from vf.pdtree import (
     triangles_of,
 )
 from vf.planes import FloatArray, IntArray, Planes, checked_length, checked_point
-from vf.surface import Surface
+from vf.surface import ROUND, Surface
 
 BUDGET = 64
 # A face plane across a valley edge must leave x this share of the triangle's distance of room.
@@ -44,9 +49,13 @@ BUMP = 0.75
 # with a shallow bowl either of two faces would be a bump of the other, and the tool would hop from
 # the plane of one to that of the other.
 NEAR = 20.0
-# A plane that could only be put through x itself yields by this much: between two such planes that
-# rounding has tilted against each other the tool could not even slide [m].
-YIELD = 1e-11
+# Every plane leaves the tip this much room, or a share of the room there is where that is less:
+# between two opposing planes through x itself a tool could not even slide, as no step of an arm is
+# straight and no solver exact [m]. Recovery wins it back.
+YIELD = 1e-8
+YIELD_SHARE = 0.05
+# Less room than this many rounding errors is none: no plane separates x from the triangle.
+FAINT = 64.0
 # Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
 HEAP = 4096
 SEEN = 128  # more than BUDGET
@@ -73,12 +82,12 @@ def certified_planes(
         spent; the claim then holds for that ball.
 
     Raises:
-        ValueError: x, or a length, is not finite or not in its range.
+        ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`).
     """
     p = checked_point(x)
-    checked_length("radius", radius)
-    checked_length("standoff", standoff)
-    checked_length("tip radius", tip_radius)
+    radius = checked_length("radius", radius)
+    standoff = checked_length("standoff", standoff)
+    tip_radius = checked_length("tip radius", tip_radius)
     planes = Buffer()
     return planes.cut(*planes.fill(surface, p, radius, standoff, tip_radius, sharing=True))
 
@@ -102,10 +111,15 @@ class Buffer:
         self.points = np.empty((rows, 3))
         self.triangles = np.empty(rows, dtype=np.int64)
         self.rules = np.empty(rows, dtype=np.int64)
+        self.floors = np.empty(rows)
 
-    def rows(self, first: int) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
+    def rows(
+        self, first: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
         """What is to be written to from row `first` on: the fields of `Planes` but the radius."""
-        fields = (self.normals, self.offsets, self.points, self.triangles, self.rules)
+        fields = (
+            self.normals, self.offsets, self.points, self.triangles, self.rules, self.floors
+        )  # fmt: skip
         return tuple(field[first:] for field in fields) if first else fields  # type: ignore[return-value]
 
     def fill(
@@ -130,7 +144,7 @@ class Buffer:
         tree = surface.tree
         kernel = _cover if sharing else _cover_held
         m, reach = kernel(
-            tree.nodes, tree.corners, tree.order, surface.edges, surface.rounding,
+            tree.nodes, tree.corners, tree.order, tree.errors, surface.edges,
             x, radius, standoff, tip_radius, *self.rows(first),
         )  # fmt: skip
         return m, reach
@@ -144,6 +158,7 @@ class Buffer:
             self.triangles[:m].copy(),
             self.rules[:m].copy(),
             radius,
+            self.floors[:m].copy(),
         )
 
 
@@ -189,8 +204,8 @@ def _less(d2, rim, far):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _box_behind(nodes, node, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
-    """Whether a node's box is wholly behind one of the planes seen … m − 1."""
+def _box_behind(nodes, node, normals, limits, bumps, less, near, seen, m):  # type: ignore[no-untyped-def]
+    """Whether a node's box is wholly behind one of the planes seen … m − 1, rounding included."""
     cx, cy, cz = nodes[node, 0], nodes[node, 1], nodes[node, 2]
     for i in range(seen, m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
@@ -204,16 +219,30 @@ def _box_behind(nodes, node, normals, limits, bumps, less, seen, m):  # type: ig
                 + nodes[node, 8 + 3 * k] * nz
             )
         if top < 0.0:
-            return True
+            size = abs(cx) + abs(cy) + abs(cz) + nodes[node, 3] + nodes[node, 4] + nodes[node, 5]
+            if top < -max(ROUND * size, near):
+                return True
     return False
 
 
 @njit(cache=True, nogil=True)
-def _triangle_behind(corners, t, normals, limits, bumps, less, seen, m):  # type: ignore[no-untyped-def]
+def _rounding(corners, t, near):  # type: ignore[no-untyped-def]
+    """Bound on the rounding error of n·z at triangle t, at least `near` [m]."""
+    size = 0.0
+    for j in range(9):
+        size = max(size, abs(corners[t, j]))
+    return max(ROUND * size, near)
+
+
+@njit(cache=True, nogil=True)
+def _triangle_behind(corners, t, normals, limits, bumps, less, near, seen, m):  # type: ignore[no-untyped-def]
     """Whether a triangle is wholly behind one of the planes seen … m − 1: most need no clipping."""
+    if seen == m:
+        return False
+    rounding = _rounding(corners, t, near)
     for i in range(seen, m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        limit = limits[i] - less * bumps[i]
+        limit = limits[i] - less * bumps[i] - rounding
         if (
             nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2] < limit
             and nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5] < limit
@@ -248,7 +277,7 @@ def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _remainder(corners, t, normals, limits, bumps, less, m, polygon, spare):  # type: ignore[no-untyped-def]
+def _remainder(corners, t, normals, limits, bumps, less, rounding, m, polygon, spare):  # type: ignore[no-untyped-def]
     """Clip triangle t to what no plane covers: corner count, and whether it is in `spare`."""
     for j in range(3):
         for k in range(3):
@@ -257,7 +286,7 @@ def _remainder(corners, t, normals, limits, bumps, less, m, polygon, spare):  # 
     swapped = False
     for i in range(m):
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        limit = limits[i] - less * bumps[i]
+        limit = limits[i] - less * bumps[i] - rounding
         if swapped:
             count = _clip(spare, polygon, count, nx, ny, nz, limit)
         else:
@@ -297,15 +326,31 @@ def _closest_on_polygon(polygon, count, x, y, z):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
+def _polygon_within(polygon, count, x, y, z, reach):  # type: ignore[no-untyped-def]
+    """Whether a convex polygon may come within `reach`, by a lower bound on its distance."""
+    for i in range(1, max(count - 1, 2)):
+        a, b, c = polygon[0], polygon[min(i, count - 1)], polygon[min(i + 1, count - 1)]
+        d2 = closest_on_triangle(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], x, y, z)[4]
+        error = distance_error(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+        if np.sqrt(d2) - error <= reach:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
 def _cover(  # type: ignore[no-untyped-def]
-    nodes, corners, order, edges, rounding, p, radius, standoff, tip_radius,
-    normals, offsets, points, triangles, rules,
+    nodes, corners, order, errors, edges, p, radius, standoff, tip_radius,
+    normals, offsets, points, triangles, rules, floors,
 ):  # fmt: skip
     """Fill the fields of `Planes`, see `certified_planes`; their number and the valid radius."""
-    budget = offsets.shape[0]
+    # An entry of the queue knows only so many planes, whatever room there is for more.
+    budget = min(offsets.shape[0], BUDGET)
     x, y, z = p[0], p[1], p[2]
-    reach = radius + tip_radius
-    reach2 = reach * reach * (1.0 + 1e-9) + 1e-30
+    near = ROUND * (max(abs(x), abs(y), abs(z)) + radius + tip_radius)
+    # By what a computed distance to a box or a triangle (but a sliver) may be too large.
+    blur = EXACT + near
+    reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
+    reach2 = reach * reach
     # A point z of the mesh is behind plane i when n·z < limits[i], of which bumps[i] is for bumps
     # and counts less and less for triangles nearer than `far`.
     limits = np.empty(budget)
@@ -341,7 +386,7 @@ def _cover(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = _less(d2, tip_radius, far)
         if item >= 0:
-            if _box_behind(nodes, item, normals, limits, bumps, less, seen, m):
+            if _box_behind(nodes, item, normals, limits, bumps, less, near, seen, m):
                 continue
             link = nodes[item, 15]
             if link > 0.0:
@@ -349,19 +394,21 @@ def _cover(  # type: ignore[no-untyped-def]
             else:
                 first, last = triangles_of(link)
             if size + last - first >= HEAP:
-                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - tip_radius, 0.0)
                 break
             for entry in range(first, last):
                 if link > 0.0:
                     e2 = box_distance2(nodes, entry, x, y, z)
                     if e2 <= reach2 and _box_behind(
-                        nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), 0, m
+                        nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), near, 0, m
                     ):
                         continue
                 else:
-                    if _triangle_behind(corners, entry, normals, limits, bumps, less, 0, m):
+                    if _triangle_behind(corners, entry, normals, limits, bumps, less, near, 0, m):
                         continue
                     e2 = triangle_distance2(corners, entry, x, y, z)
+                    if errors[entry] > 0.0:
+                        e2 = max(np.sqrt(e2) - errors[entry], 0.0) ** 2
                 # A box's bound may round to just above its parent's triangles: never go back.
                 e2 = max(e2, d2)
                 if e2 > reach2:
@@ -376,19 +423,20 @@ def _cover(  # type: ignore[no-untyped-def]
             continue
 
         t = -1 - item
-        if _triangle_behind(corners, t, normals, limits, bumps, less, seen, m):
+        if _triangle_behind(corners, t, normals, limits, bumps, less, near, seen, m):
             continue
+        rounding = _rounding(corners, t, near)
         corners_left, swapped = _remainder(
-            corners, t, normals, limits, bumps, less, m, polygon, spare
+            corners, t, normals, limits, bumps, less, rounding, m, polygon, spare
         )
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
         px, py, pz, rest2 = _closest_on_polygon(rest, corners_left, x, y, z)
-        if rest2 > reach2:
+        if rest2 > reach2 and not _polygon_within(rest, corners_left, x, y, z, reach):
             continue
         if m == budget:
-            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
+            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - tip_radius, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = _separate(
             corners,
@@ -408,22 +456,29 @@ def _cover(  # type: ignore[no-untyped-def]
             z,
         )
         room = nx * x + ny * y + nz * z
-        if not room - base > 4.0 * rounding:
+        clear = room - base
+        faint = FAINT * rounding
+        if not clear > faint:
             # x is on the triangle within rounding: no plane separates them, so no step is safe.
             valid = 0.0
             break
-        space = room - base - tip_radius
-        if space > standoff:
-            ease = EASE * m * (space - standoff)
-            offset = base + tip_radius + standoff + ease
-            limit = base + BUMP * standoff + ease
+        low = base + 4.0 * rounding
+        space = clear - tip_radius
+        if space > faint:
+            kept = min(space, max(standoff, faint))
+            ease = EASE * m * (space - kept)
+            offset = min(base + tip_radius + kept + ease, room - min(YIELD, YIELD_SHARE * space))
+            limits[m] = max(base + BUMP * kept + ease, low)
+            bumps[m] = min(BUMP * kept, limits[m] - low)
+            floors[m] = limits[m] + tip_radius
         else:
-            offset = room - min(YIELD, 0.1 * max(space, 0.0))
-            limit = base + BUMP * max(space, 0.0)
+            # The tip overlaps the triangle: what can be promised is about its centre.
+            offset = room - min(YIELD, YIELD_SHARE * clear)
+            limits[m] = low
+            bumps[m] = 0.0
+            floors[m] = low
         normals[m, 0], normals[m, 1], normals[m, 2] = nx, ny, nz
         offsets[m] = offset
-        limits[m] = max(limit, base + rounding)
-        bumps[m] = min(BUMP * min(max(space, 0.0), standoff), limits[m] - base - rounding)
         points[m, 0], points[m, 1], points[m, 2] = px, py, pz
         triangles[m] = order[t]
         rules[m] = rule
@@ -433,13 +488,13 @@ def _cover(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _cover_held(  # type: ignore[no-untyped-def]
-    nodes, corners, order, edges, rounding, p, radius, standoff, tip_radius,
-    normals, offsets, points, triangles, rules,
+    nodes, corners, order, errors, edges, p, radius, standoff, tip_radius,
+    normals, offsets, points, triangles, rules, floors,
 ):  # fmt: skip
     """`_cover` without letting go of the interpreter."""
     return _cover(
-        nodes, corners, order, edges, rounding, p, radius, standoff, tip_radius,
-        normals, offsets, points, triangles, rules,
+        nodes, corners, order, errors, edges, p, radius, standoff, tip_radius,
+        normals, offsets, points, triangles, rules, floors,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from vf.closest import closest_on_triangle, distance2_to_triangle
+from vf.closest import closest_on_triangle, distance2_to_triangle, distance_error
 from vf.planes import FloatArray, IntArray
 
 LEAF = 6
@@ -28,6 +28,8 @@ STACK = 256
 # take as many (some 10 µs), and to hand it over costs a tenth of a walk, far more if it is wanted.
 PATIENCE = 500
 UNFINISHED = -3
+# A computed distance that exceeds the true one by no more than this counts as exact [m].
+EXACT = 1e-12
 
 
 class Tree(NamedTuple):
@@ -40,11 +42,14 @@ class Tree(NamedTuple):
             8 · first child + count, or for a leaf −(64 · first triangle + count).
         corners: (m, 9) corners of the triangles in tree order.
         order: (m,) the caller's index of each triangle in tree order.
+        errors: (m,) how much the computed distance to a triangle can exceed the true one, in tree
+            order, 0 where that is at most `EXACT` [m]: large for slivers only.
     """
 
     nodes: FloatArray
     corners: FloatArray
     order: IntArray
+    errors: FloatArray
 
 
 @njit(cache=True, nogil=True)
@@ -276,7 +281,17 @@ def build(vertices: FloatArray, faces: IntArray, leaf: int = LEAF) -> Tree:
     count = _build(corners, centroids, boxes, links, order, leaf)
     nodes = np.empty((count, 16))
     kept = _quadruple(boxes, links, nodes)
-    return Tree(nodes[:kept].copy(), corners, order)
+    return Tree(nodes[:kept].copy(), corners, order, _errors(corners))
+
+
+@njit(cache=True, nogil=True)
+def _errors(corners):  # type: ignore[no-untyped-def]
+    errors = np.empty(corners.shape[0])
+    for t in range(corners.shape[0]):
+        c = corners[t]
+        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+        errors[t] = error if error > EXACT else 0.0
+    return errors
 
 
 @njit(cache=True, nogil=True)

@@ -12,21 +12,36 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# Coordinates and lengths beyond this are refused [m]: rounding would be as large as a standoff, and
+# far beyond it squares overflow.
+LARGEST = 1e7
+
 
 def checked_point(x: ArrayLike) -> FloatArray:
-    """x as (3,) float64; ValueError unless it is three finite numbers."""
+    """x as (3,) float64; ValueError unless it is three finite numbers within ±`LARGEST`."""
     p = np.asarray(x, dtype=np.float64)
     if p.shape != (3,) or not isfinite(p[0] + p[1] + p[2]):
         raise ValueError(f"a point must be three finite numbers, got {x!r}")
+    if not (abs(p[0]) <= LARGEST and abs(p[1]) <= LARGEST and abs(p[2]) <= LARGEST):
+        raise ValueError(f"a point must be within ±{LARGEST:g} m of the origin, got {x!r}")
     return p
 
 
 def checked_length(name: str, value: float, positive: bool = False) -> float:
-    """A length [m]; ValueError unless it is finite and ≥ 0 (or > 0)."""
-    if not (isfinite(value) and (value > 0.0 or (value == 0.0 and not positive))):
+    """A length [m] as a float; ValueError unless it is ≥ 0 (or > 0) and at most `LARGEST`.
+
+    A float whatever kind of number came: kernels are compiled anew for any other.
+    """
+    try:
+        length = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"the {name} must be a number of metres, got {value!r}") from None
+    if not (isfinite(length) and (length > 0.0 or (length == 0.0 and not positive))):
         kind = "positive" if positive else "zero or more"
         raise ValueError(f"the {name} must be finite and {kind} in metres, got {value!r}")
-    return value
+    if length > LARGEST:
+        raise ValueError(f"the {name} must be at most {LARGEST:g} m, got {value!r}")
+    return length
 
 
 class Rule(IntEnum):
@@ -52,6 +67,9 @@ class Planes:
         rules: (m,) values of `Rule`.
         radius: the planes are valid for steps that end within this distance of x [m]: the
             radius asked for, or less where the plane budget was spent.
+        floors: (m,) what a *curved* path must not sink below anywhere on its way: with n·p ≥ floor
+            for all planes and |p − x| ≤ radius, the tip at p touches nothing [m]. At most the
+            offsets; −inf where a plane does not say; None: none does.
     """
 
     normals: FloatArray
@@ -60,6 +78,7 @@ class Planes:
     triangles: IntArray
     rules: IntArray
     radius: float
+    floors: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.offsets)

@@ -11,8 +11,10 @@ from numba import njit
 from vf.haptics import force
 from vf.qp_kernels import attempt, carve
 
-# A target farther than this from the base is a mistake, not a wish [m].
+# Reject targets farther than this from the base [m].
 FARTHEST = 10.0
+# Reject joint positions beyond this [rad or m]: hundreds of turns, and rounding grows with them.
+JOINT_RANGE = 1e4
 # Rows are tightened by this against the planes that are verified, ten times OSQP's tolerance, so
 # that a tick in contact does not miss by rounding [m].
 HAIR = 1e-6
@@ -189,6 +191,31 @@ def pace(dq, reach, J, tip_reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def sagitta(J, dq, share, revolute):  # type: ignore[no-untyped-def]
+    """Bound on how far the tip leaves its chord [m] while the joints move from q to q + share·dq.
+
+    With all joints moving in proportion the tip's path is p(τ), τ from 0 to 1, and leaves its chord
+    by at most ⅛ max|p″|. For joints i ≤ j the second derivative ∂²p/∂q_i∂q_j is the axis of i times
+    the column J_j for a revolute i, and zero for a prismatic one. The length of a column depends
+    only on the joints after its own, and changes on the way by at most what they move the tip.
+
+    Args:
+        J: (6, n), linear rows first, at q.
+        dq: (n,) [rad or m].
+        revolute: (n,) 1 for a revolute joint, 0 for a prismatic one.
+    """
+    bend = 0.0
+    later = 0.0  # Σ |J_j||dq_j| over the joints after i, the longest on the way
+    for i in range(dq.shape[0] - 1, -1, -1):
+        turn = share * abs(dq[i])
+        column = np.sqrt(J[0, i] ** 2 + J[1, i] ** 2 + J[2, i] ** 2)
+        moved = turn * (column + revolute[i] * later)
+        bend += revolute[i] * turn * (moved + 2.0 * later)
+        later += moved
+    return 0.125 * bend
+
+
+@njit(cache=True)
 def farthest(J, reach):  # type: ignore[no-untyped-def]
     """How far the tip can go [m] when every joint goes as far as its reach (n,)."""
     far = 0.0
@@ -198,24 +225,36 @@ def farthest(J, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def obeys(normals, offsets, m, radius, x, y):  # type: ignore[no-untyped-def]
-    """Whether the tip y is in the ball around x and on the allowed side of the first m planes."""
+def obeys(normals, offsets, floors, m, radius, longest, x, y, bulge):  # type: ignore[no-untyped-def]
+    """Whether a step from x to y, and its path, keep to the ball and the first m planes.
+
+    Args:
+        floors: (≥ m,) what the path must not sink below, see `Planes`.
+        radius: that the planes are valid in [m].
+        longest: the step may be [m].
+        bulge: how far the path may leave the chord [m].
+    """
     d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
-    if not d2 <= radius * radius:
+    if not (np.sqrt(d2) + bulge <= radius and d2 <= longest * longest):
         return False
     for i in range(m):
-        slack = normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2] - offsets[i]
-        if not slack >= 0.0:
+        height = normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2]
+        if not height >= offsets[i]:
+            return False
+        start = normals[i, 0] * x[0] + normals[i, 1] * x[1] + normals[i, 2] * x[2]
+        if not min(height, start) - bulge >= floors[i]:
             return False
     return True
 
 
 # Rows of the table that a controller hands to `plan` and `report`, each (n,) …
-TASK, LOWER, UPPER, LOWEST, HIGHEST, REACH, HORIZON = 0, 6, 7, 8, 9, 10, 11
-TABLE = 12
+TASK, LOWER, UPPER, LOWEST, HIGHEST, REACH, HORIZON, REVOLUTE = 0, 6, 7, 8, 9, 10, 11, 12
+TABLE = 13
 # … and entries of its list of numbers.
-DESIRED, STANDOFF, TIP_RADIUS, LENGTH, DAMPING, GAIN, CAP, TIP_REACH = 0, 6, 7, 8, 9, 10, 11, 12
-NUMBERS = 13
+DESIRED, STANDOFF, TIP_RADIUS, LENGTH, DAMPING, GAIN, CAP, TIP_REACH, GUARDED, BULGE = (
+    0, 6, 7, 8, 9, 10, 11, 12, 13, 14
+)  # fmt: skip
+NUMBERS = 15
 
 
 @njit(cache=True)
@@ -264,7 +303,10 @@ def plan(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def move(q, J, scratch, table, numbers, q_new):  # type: ignore[no-untyped-def]
-    """q_new = q + the solver's step, shortened to what a tick allows; whether there is one."""
+    """q_new = q + the solver's step, shortened to what a tick allows; whether there is one.
+
+    How far the tip may leave the chord on the way is left in the numbers.
+    """
     n = q.shape[0]
     dq = carve(scratch, n)[3]
     share = pace(dq, table[REACH], J, numbers[TIP_REACH])
@@ -272,13 +314,15 @@ def move(q, J, scratch, table, numbers, q_new):  # type: ignore[no-untyped-def]
     for j in range(n):
         step = share * dq[j]
         moves |= step != 0.0
-        q_new[j] = q[j] + step
+        # The sum may round to just beyond a limit.
+        q_new[j] = min(max(q[j] + step, min(table[LOWEST, j], q[j])), max(table[HIGHEST, j], q[j]))
+    numbers[BULGE] = sagitta(J, dq, share, table[REVOLUTE]) if numbers[GUARDED] > 0.0 else 0.0
     return moves
 
 
 @njit(cache=True)
 def report(  # type: ignore[no-untyped-def]
-    q_new, T, T_new, goal, normals, offsets, points, triangles, rules, m, radius,
+    q_new, T, T_new, goal, normals, offsets, points, triangles, rules, floors, m, radius, longest,
     table, numbers, multipliers, check, whole, out,
 ):  # fmt: skip
     """Check the tip at q_new, and write what there is to say about it: whether it may go there.
@@ -291,7 +335,7 @@ def report(  # type: ignore[no-untyped-def]
             `whole` normals (3m), offsets (m), points (3m), triangles (m), rules (m).
     """
     x, y = T[:3, 3], T_new[:3, 3]
-    if check and not obeys(normals, offsets, m, radius, x, y):
+    if check and not obeys(normals, offsets, floors, m, radius, longest, x, y, numbers[BULGE]):
         return False
     n = q_new.shape[0]
     out[:3] = force(y, goal[:3, 3], numbers[GAIN], numbers[CAP])

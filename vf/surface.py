@@ -20,7 +20,7 @@ from vf.pdtree import (
     nearest_face_freely,
     within_ball,
 )
-from vf.planes import FloatArray, IntArray, checked_length, checked_point
+from vf.planes import LARGEST, FloatArray, IntArray, checked_length, checked_point
 from vf.winding import Moments, moments, winding_number
 
 
@@ -34,6 +34,8 @@ class Edge(IntEnum):
     NON_MANIFOLD = 4  # more than one neighbour
 
 
+# Bound on the rounding error of n·z, a few operations on coordinates up to one metre [m].
+ROUND = 1e-14
 # Sine of the dihedral angle below which an edge is flat.
 FLAT_SINE = 1e-9
 
@@ -111,9 +113,9 @@ class Surface:
         neighbours: (m, 3) int32 face across the edge from corner k to k+1; −1 none, −2 several.
         edges: (m, 3) int8 values of `Edge`.
         tree: the `pdtree.Tree`.
-        size: diagonal of the bounding box [m].
+        size: diagonal of the bounding box of what the faces use [m].
         median_edge: [m].
-        rounding: bound on the rounding error of n·z for points z of the mesh's size [m].
+        rounding: bound on the rounding error of n·z for points z of the mesh [m].
     """
 
     def __init__(
@@ -125,8 +127,9 @@ class Surface:
         say = progress or (lambda _stage: None)
         self.vertices = vertices
         self.faces = faces
-        self.size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-        self.rounding = 1e-14 * float(np.abs(vertices).max()) + 1e-300
+        used = _used(vertices, faces)
+        self.size = float(np.linalg.norm(np.ptp(used, axis=0)))
+        self.rounding = ROUND * float(np.abs(used).max()) + 1e-300
         say("normals")
         self.normals = np.empty((len(faces), 3))
         lengths = np.empty((len(faces), 3))
@@ -156,7 +159,8 @@ class Surface:
             progress: called with the name of each stage of the work.
 
         Raises:
-            ValueError: wrong shapes, non-finite vertices, no faces, indices out of range.
+            ValueError: wrong shapes, non-finite vertices, no faces, indices out of range, a
+                vertex of a face farther than `planes.LARGEST` (10,000 km) from the origin.
         """
         v = np.array(vertices, dtype=np.float64, order="C")
         f_in = np.asarray(faces)
@@ -175,6 +179,13 @@ class Surface:
         if not np.isfinite(v).all():
             row = int(np.argmin(np.isfinite(v).all(axis=1)))
             raise ValueError(f"vertex {row} is not finite: {v[row]}")
+        if not np.abs(v).max() <= LARGEST:  # what no face uses may be anywhere
+            far = f.ravel()[~(np.abs(v) <= LARGEST).all(axis=1)[f.ravel()]]
+            if len(far):
+                raise ValueError(
+                    f"vertex {far[0]} is too far away: coordinates must be within ±{LARGEST:g} m,"
+                    f" got {v[far[0]]}"
+                )
         return Surface(v, f, progress)
 
     @cached_property
@@ -250,12 +261,21 @@ class Surface:
         return float(winding_number(self.tree, self._solid[1], p[0], p[1], p[2]))
 
     def inside(self, x: ArrayLike) -> bool:
-        """Whether x (3,) is inside: |winding number| > ½, and only if the surface is closed.
+        """Whether x (3,) is inside: |winding number| of 1, and only if the surface is closed.
 
         An open surface has no inside to be sure of (a vessel's lumen is free space), so there the
-        answer is False and the fixtures guard it from both sides.
+        answer is False and the fixtures guard it from both sides. Nor does a winding number of 2
+        say so: it is that of the cavity of a hollow body whose inner shell is wound outwards too,
+        as scanners export it, and of what two bodies have in common.
         """
-        return self.closed and abs(self.winding(x)) > 0.5
+        return self.closed and 0.5 < abs(self.winding(x)) < 1.5
+
+
+def _used(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """The vertices (k, 3) that a face uses."""
+    mask = np.zeros(len(vertices), dtype=bool)
+    mask[faces] = True
+    return vertices if mask.all() else vertices[mask]
 
 
 @njit(cache=True, nogil=True)

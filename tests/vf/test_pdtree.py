@@ -174,7 +174,7 @@ def test_a_walk_that_takes_long_ends_with_the_same_answer():
     ball = trimesh.creation.icosphere(subdivisions=4)
     surface = vf.Surface.from_arrays(ball.vertices, ball.faces)
     x = np.zeros(3)
-    nodes, corners, _order = surface.tree
+    nodes, corners, _order, _errors = surface.tree
     assert pdtree.nearest_face(nodes, corners, x, np.inf, -1, PATIENCE)[1] == UNFINISHED
     assert (x == 0.0).all()
     distance, triangle, point = surface.nearest(x)
