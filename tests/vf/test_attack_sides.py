@@ -1,0 +1,136 @@
+"""Attacks on inside and outside: hollow bodies, and a second body behind the way out."""
+
+from __future__ import annotations
+
+import exact
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+import robots
+import vf
+
+BOX_FACES = np.array(
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
+)  # fmt: skip
+STRAIGHT = np.eye(3)
+
+
+def box(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    corners = [[x, y, z] for z in (low[2], high[2]) for y in (low[1], high[1])
+               for x in (low[0], high[0])]  # fmt: skip
+    return np.array(corners), BOX_FACES
+
+
+def ball(radius: float, centre: tuple[float, ...] = (0.0, 0.0, 0.0), outwards: bool = True):
+    shape = trimesh.creation.icosphere(2, radius)
+    faces = np.array(shape.faces)
+    return np.array(shape.vertices) + centre, faces if outwards else faces[:, ::-1]
+
+
+def together(*bodies: tuple[np.ndarray, np.ndarray]) -> vf.Surface:
+    vertices = np.vstack([v for v, _ in bodies])
+    starts = np.cumsum([0] + [len(v) for v, _ in bodies])
+    faces = np.vstack([f + start for (_, f), start in zip(bodies, starts, strict=False)])
+    return vf.Surface.from_arrays(vertices, faces)
+
+
+def drive(
+    surface: vf.Surface, start: np.ndarray, goal: np.ndarray, ticks: int, **settings: float
+) -> tuple[np.ndarray, list[vf.Status], list[int]]:
+    """A free tip from start to goal (3,): where it ends, statuses, the triangles it crossed."""
+    arm = robots.load("point")
+    controller = vf.Controller(arm, [vf.MeshFixture(surface)], vf.Settings(**settings))
+    triangles = exact.triangles_of(surface)
+    q, statuses, crossed = np.asarray(start, dtype=float), [], []
+    for _ in range(ticks):
+        step = controller.step(q, pin.SE3(STRAIGHT, np.asarray(goal, dtype=float)))
+        if (step.q != q).any():
+            crossed += exact.crossed(triangles, q, step.q).tolist()
+        statuses.append(step.status)
+        q = step.q
+    return q, statuses, crossed
+
+
+# An inside that is no ground for leading anything through a wall
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_cavity_of_a_hollow_body_is_no_inside_however_it_is_wound(turned: bool) -> None:
+    surface = together(ball(0.05, outwards=not turned), ball(0.04, outwards=not turned))
+    assert surface.closed
+    assert not surface.inside(np.zeros(3))
+    assert surface.inside(np.array([0.045, 0.0, 0.0]))  # the wall itself
+    assert not surface.inside(np.array([0.06, 0.0, 0.0]))
+    start = np.array([0.03, 0.0, 0.0])
+    end, statuses, crossed = drive(surface, start, np.array([-0.03, 0.01, 0.0]), 350)
+    assert np.linalg.norm(end - [-0.03, 0.01, 0.0]) < 1e-4  # it moves freely in there
+    assert not crossed
+    assert vf.Status.INSIDE not in statuses
+    end, _, crossed = drive(surface, start, np.array([0.09, 0.002, 0.001]), 200)
+    assert not crossed
+    assert np.linalg.norm(end) < 0.04
+
+
+@pytest.mark.parametrize("copies", [2, 3])
+def test_walls_around_a_region_wound_several_times_let_nothing_through(copies: int) -> None:
+    """Shells a hair apart, all wound alike, as voxel tools export them: not repeated faces."""
+    surface = together(*(ball(0.02 + 1e-4 * k) for k in range(copies)))
+    assert round(abs(surface.winding(np.zeros(3)))) == copies
+    end, statuses, crossed = drive(surface, [0.015, 0.0, 0.0], [0.05, 0.0, 0.0], 200)
+    assert not crossed
+    assert np.linalg.norm(end) < 0.02
+    assert vf.Status.INSIDE not in statuses
+
+
+def test_a_body_in_the_cavity_of_another_is_still_one() -> None:
+    """A bead in a hollow body: winding 1 in the wall, 0 in the cavity and 1 in the bead."""
+    surface = together(ball(0.05), ball(0.04, outwards=False), ball(0.01))
+    assert not surface.inside(np.array([0.025, 0.0, 0.0]))
+    assert surface.inside(np.zeros(3))
+    end, _, crossed = drive(surface, [0.008, 0.0, 0.0], [0.03, 0.0, 0.0], 400)
+    assert 0.01 < np.linalg.norm(end) < 0.04  # led out of the bead, into the cavity and no farther
+    radii = np.linalg.norm(exact.triangles_of(surface)[crossed], axis=2).max(axis=1)
+    assert (radii < 0.011).all()
+
+
+# What lies behind the way out
+
+
+@pytest.mark.parametrize("tip", [0.0, 5e-4])
+@pytest.mark.parametrize(
+    ("depth", "gap", "thick"),
+    [
+        (5e-6, 1e-5, 5e-6), (1e-6, 2e-5, 1e-5), (5e-6, 3e-4, 2e-4), (1e-3, 1e-5, 5e-6),
+        (2e-5, 2e-6, 1e-7), (3e-7, 5e-5, 1e-4), (1e-8, 1e-7, 1e-7),
+        (0.0, 1e-5, 5e-6), (0.0, 2e-9, 3e-9), (0.0, 5e-10, 8e-9), (0.0, 2e-8, 3e-9),
+    ],
+)  # fmt: skip
+def test_the_way_out_of_a_body_passes_no_second_one(
+    depth: float, gap: float, thick: float, tip: float
+) -> None:
+    """From inside by `depth`, or from exactly on the surface, under a shell `gap` above it."""
+    body = box((-0.01, -0.01, -0.01), (0.01, 0.01, 0.0))
+    shell = box((-0.008, -0.008, gap), (0.008, 0.008, gap + thick))
+    surface = together(body, shell)
+    for period in (1e-3, 5e-3):
+        for aside in (0.0, 1e-3):
+            start = np.array([aside, 0.5 * aside, -depth])
+            goal = np.array([aside, -aside, 5e-3])
+            _, _, crossed = drive(surface, start, goal, 30, tip_radius=tip, dt=period)
+            through = [t for t in crossed if t >= len(BOX_FACES)]
+            assert not through, f"period {period}, {aside} m aside"
+
+
+def test_the_way_out_is_still_a_way_out() -> None:
+    """Alone, or with a shell far enough to stand before: out, and no deeper on the way."""
+    body = box((-0.01, -0.01, -0.01), (0.01, 0.01, 0.0))
+    shell = box((-0.008, -0.008, 2e-3), (0.008, 0.008, 2.2e-3))
+    for surface in (together(body), together(body, shell)):
+        for depth in (0.0, 1e-6, 1e-3):
+            end, statuses, crossed = drive(surface, [0, 0, -depth], [0, 0, 1e-3], 400)
+            assert end[2] > 20e-6 - 1e-6
+            assert statuses[-1] is not vf.Status.INSIDE
+            assert all(t < len(BOX_FACES) for t in crossed)
