@@ -56,8 +56,8 @@ class Arm:
         self.lower = _read_only(model.lowerPositionLimit)
         self.upper = _read_only(model.upperPositionLimit)
         self.velocity = _read_only(model.velocityLimit)
-        kinds = [joint.shortname() for joint in model.joints][1:]
-        self.revolute = _read_only([0.0 if kind.startswith("JointModelP") else 1.0 for kind in kinds])
+        prismatic = [joint.shortname().startswith("JointModelP") for joint in model.joints]
+        self.revolute = _read_only([float(not straight) for straight in prismatic[1:]])
         self._shape = (model.nq,)
         self._model = model
         self._data = model.createData()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from math import inf, isfinite, nan
+from math import inf, nan
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol, cast
 

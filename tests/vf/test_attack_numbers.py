@@ -29,12 +29,12 @@ def turned(rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("name", ["radius", "standoff", "tip_radius"])
 def test_lengths_beyond_any_room_are_refused_by_name_and_value(name: str) -> None:
     # From the least on: a walk with the largest would never end, were they not refused.
-    for value in (10.1, 1e3, 1e154, 1.4e154, 1e300):
+    for value in (1.001e7, 1e77, 1e154, 1.4e154, 1e300):
         lengths = {"radius": 5e-3, "standoff": STANDOFF, "tip_radius": 0.0, name: value}
         with pytest.raises(ValueError, match=name.replace("_", " ")) as error:
             vf.certified_planes(exact.soup(ONE), np.zeros(3), **lengths)
         assert repr(value) in str(error.value)
-        assert "10" in str(error.value).replace(repr(value), "")
+        assert "1e+07 m" in str(error.value)
         if name == "radius":
             with pytest.raises(ValueError, match="radius"):
                 vf.MeshFixture(exact.soup(ONE), radius=value)
@@ -46,11 +46,11 @@ def test_lengths_beyond_any_room_are_refused_by_name_and_value(name: str) -> Non
 
 
 def test_vertices_beyond_any_room_are_refused_by_number() -> None:
-    for far in (1.001e3, 5e9, 1e77, 1e160, 1e300):
+    for far in (1.001e7, 5e9, 1e77, 1e160, 1e300):
         vertices = np.vstack([np.eye(3), [[0.0, 0.0, -far]]])
         with pytest.raises(ValueError, match="vertex 3") as error:
             vf.Surface.from_arrays(vertices, [[0, 1, 2], [1, 2, 3]])
-        assert "1000" in str(error.value) or "1,000" in str(error.value)
+        assert "1e+07 m" in str(error.value)
 
 
 def tent(far: float, used: bool) -> tuple[np.ndarray, np.ndarray]:
