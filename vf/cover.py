@@ -454,6 +454,9 @@ def _cover(  # type: ignore[no-untyped-def]
             x,
             y,
             z,
+            normals,
+            limits,
+            m,
         )
         room = nx * x + ny * y + nz * z
         clear = room - base
@@ -500,11 +503,13 @@ def _cover_held(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _separate(  # type: ignore[no-untyped-def]
-    corners, order, edges, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z
-):
+    corners, order, edges, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z,
+    normals, limits, m,
+):  # fmt: skip
     """A plane with the `rest` of triangle t behind it: rule, normal, base offset, point.
 
     The base is the largest n·z over the corners, so it bounds the triangle whatever was rounded.
+    normals, limits: of the m planes so far.
     """
     c = corners[t]
     qx, qy, qz, feature, d2 = triangle_at(corners, t, x, y, z)
@@ -528,10 +533,23 @@ def _separate(  # type: ignore[no-untyped-def]
                 return 1, nx, ny, nz, base, qx, qy, qz
             i = order[t]
             valley = False
+            seam = False
             if 1 <= feature <= 3:
                 valley = edges[i, feature - 1] == 1
+                seam = edges[i, feature - 1] > 1
             elif feature >= 4:
-                valley = edges[i, feature - 4] == 1 or edges[i, (feature - 2) % 3] == 1
+                one, other = edges[i, feature - 4], edges[i, (feature - 2) % 3]
+                valley = one == 1 or other == 1
+                seam = one > 1 or other > 1
+            if seam and not valley:
+                # An edge whose neighbours the mesh does not tell, of a triangle that rises from
+                # there out of what a nearer plane covers, is a valley too: were each of its faces
+                # the edge's plane while the tool is nearer to the other, the tool would hop from
+                # the one to the other for ever.
+                for k in range(m):
+                    if normals[k, 0] * qx + normals[k, 1] * qy + normals[k, 2] * qz < limits[k]:
+                        valley = True
+                        break
             # Judged from the rim of the tip: a plane under the tip's centre by less than its radius
             # would let the rim in.
             if valley and s > tip_radius + VALLEY_ROOM * max(d - tip_radius, 0.0):

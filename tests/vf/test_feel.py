@@ -211,6 +211,41 @@ def _valley(surface: vf.Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return p, p + 1 * MM * normals.sum(axis=0), normals
 
 
+def _bowl(radius: float, rings: int = 12, spokes: int = 24) -> np.ndarray:
+    """Corners (m, 3, 3) of the facets of a lower half sphere about the origin."""
+    down, about = np.linspace(0, np.pi / 2, rings), np.linspace(0, 2 * np.pi, spokes)
+    ring = np.stack([np.cos(about), np.sin(about)])
+    p = radius * np.stack(
+        [np.outer(np.sin(down), ring[0]), np.outer(np.sin(down), ring[1]),
+         np.outer(-np.cos(down), np.ones(spokes))], axis=-1
+    )  # fmt: skip
+    a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
+    return np.concatenate([np.stack(t, axis=-2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))])
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-8], ids=["unwelded", "10 nm apart"])
+def test_a_tool_rests_still_between_faces_that_do_not_know_each_other(apart: float) -> None:
+    arm = robots.load("point")
+    x = arm.tip(arm.neutral).translation
+    for seed in (5, 21, 23):
+        rng = np.random.default_rng(seed)
+        R = naive.rotation(rng)
+        radius = rng.uniform(2 * MM, 20 * MM)
+        goal = pin.SE3(arm.tip(arm.neutral))
+        goal.translation = x + R @ np.array([*rng.normal(scale=0.3, size=2), -1.0]) * 12 * MM
+        vertices = (_bowl(radius).reshape(-1, 3) + np.array([0.0, 0.0, radius / 2])) @ R.T + x
+        vertices = vertices + rng.uniform(-apart, apart, vertices.shape)
+        surface = vf.Surface.from_arrays(vertices, np.arange(len(vertices)).reshape(-1, 3))
+        controller = vf.Controller(arm, [vf.MeshFixture(surface)])
+        q, tips = np.array(arm.neutral), []
+        for _ in range(1500):
+            step = controller.step(q, goal)
+            q = step.q
+            tips.append(step.tip.translation)
+        moved = np.linalg.norm(np.diff(tips[-50:], axis=0), axis=1)
+        assert moved.max() < 0.1 * UM  # the solver's tolerance
+
+
 # Blocked
 
 
