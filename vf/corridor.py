@@ -42,8 +42,9 @@ class CorridorFixture:
         radius: of the motion sphere [m]; None: as far as the arm can go in a tick.
 
     Raises:
-        ValueError: not finite; the path runs along `direction`, turns back on itself, or turns
-            more tightly than a corridor of this width can follow.
+        ValueError: not finite; the path runs along `direction`, turns back on itself, turns more
+            tightly than a corridor of this width can follow, or comes so near to itself, carried on
+            beyond its ends, that the walls would meet: which side of them is free is then open.
     """
 
     certified = True
@@ -208,7 +209,7 @@ def _walls(points: FloatArray, width: float) -> tuple[FloatArray, FloatArray, Fl
     points = points.copy()
     points[0] -= FAR * forward[0]
     points[-1] += FAR * forward[-1]
-    starts, ends, normals, sides = [], [], [], []
+    starts, ends, normals, sides, legs = [], [], [], [], []
     for side, sign in enumerate((1.0, -1.0)):
         across = sign * width * left
         corner = points[0] + across[0]
@@ -236,13 +237,68 @@ def _walls(points: FloatArray, width: float) -> tuple[FloatArray, FloatArray, Fl
             ends.append(b)
             normals.append(-sign * left[i])
             sides.append(side)
+            legs.append(i)
             if bridge is not None and np.linalg.norm(bridge - b) > STRAIGHT:
                 along = (bridge - b) / np.linalg.norm(bridge - b)
                 starts.append(b)
                 ends.append(bridge)
                 normals.append(-sign * np.array([-along[1], along[0]]))
                 sides.append(side)
-    return np.array(starts), np.array(ends), np.array(normals), np.array(sides, dtype=np.int64)
+                legs.append(i)
+    walls = np.array(starts), np.array(ends), np.array(normals), np.array(sides, dtype=np.int64)
+    _check_apart(walls, np.array(legs), width)
+    return walls
+
+
+def _check_apart(
+    walls: tuple[FloatArray, FloatArray, FloatArray, IntArray], legs: IntArray, width: float
+) -> None:
+    """Refuse walls that meet: which side of them is free would then be open.
+
+    Args:
+        legs: (k,) from which leg of the path each piece comes.
+    """
+    starts, ends, _, sides = walls
+    i, j = _meeting(starts, ends, sides)
+    if i >= 0:
+        raise ValueError(
+            f"the path comes too near to itself for a corridor of ±{width * 1e3:g} mm: the walls "
+            f"along its legs {legs[i] + 1} and {legs[j] + 1} meet, its ends carried on straight by "
+            f"{FAR:g} m; take a part of the path, or a narrower corridor"
+        )
+
+
+@njit(cache=True)
+def _meeting(starts, ends, sides):  # type: ignore[no-untyped-def]
+    """Two pieces of the walls that touch though neither follows the other, or −1, −1."""
+    for i in range(len(sides)):
+        for j in range(i + 1, len(sides)):
+            if j == i + 1 and sides[i] == sides[j]:
+                continue
+            apart = False
+            for k in range(2):
+                apart |= max(starts[i, k], ends[i, k]) < min(starts[j, k], ends[j, k]) - HAIR
+                apart |= max(starts[j, k], ends[j, k]) < min(starts[i, k], ends[i, k]) - HAIR
+            if not apart and _distance2(starts[i], ends[i], starts[j], ends[j]) <= HAIR * HAIR:
+                return i, j
+    return -1, -1
+
+
+@njit(cache=True)
+def _distance2(a, b, c, d):  # type: ignore[no-untyped-def]
+    """Squared distance of the segments ab and cd in the plane: 0 where they cross."""
+    c_left = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0
+    d_left = (b[0] - a[0]) * (d[1] - a[1]) - (b[1] - a[1]) * (d[0] - a[0]) > 0.0
+    a_left = (d[0] - c[0]) * (a[1] - c[1]) - (d[1] - c[1]) * (a[0] - c[0]) > 0.0
+    b_left = (d[0] - c[0]) * (b[1] - c[1]) - (d[1] - c[1]) * (b[0] - c[0]) > 0.0
+    if c_left != d_left and a_left != b_left:
+        return 0.0
+    return min(
+        _closest(a[0], a[1], b[0], b[1], c[0], c[1])[3],
+        _closest(a[0], a[1], b[0], b[1], d[0], d[1])[3],
+        _closest(c[0], c[1], d[0], d[1], a[0], a[1])[3],
+        _closest(c[0], c[1], d[0], d[1], b[0], b[1])[3],
+    )
 
 
 @njit(cache=True)

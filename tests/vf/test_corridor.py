@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import robots
@@ -23,6 +23,15 @@ def zigzag(seed: int, bends: int = 6, turn: float = 1.2) -> np.ndarray:
         [np.cos(heading), np.sin(heading), rng.uniform(-0.5, 0.5, bends)], axis=1
     )
     return np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+
+
+def corridor_along(path: np.ndarray) -> vf.CorridorFixture:
+    """The corridor along a random path; such as come near to themselves are refused, see below."""
+    try:
+        return vf.CorridorFixture(path, DOWN, WIDTH)
+    except ValueError as error:
+        assume("near to itself" not in str(error))
+        raise
 
 
 def aside(path: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -48,7 +57,7 @@ def somewhere(path: np.ndarray, rng: np.random.Generator, spread: float) -> np.n
 def test_what_the_planes_allow_is_never_farther_than_the_width(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     path = zigzag(seed)
-    corridor = vf.CorridorFixture(path, DOWN, WIDTH)
+    corridor = corridor_along(path)
     x = somewhere(path, rng, 0.8 * WIDTH)
     if corridor.room(x) <= 0.0:
         return
@@ -69,7 +78,7 @@ def test_nothing_just_outside_is_allowed(seed: int) -> None:
     """Points a few microns beyond the width, where a gap between the planes would show first."""
     rng = np.random.default_rng(seed)
     path = zigzag(seed)
-    corridor = vf.CorridorFixture(path, DOWN, WIDTH)
+    corridor = corridor_along(path)
     x = somewhere(path, rng, 0.9 * WIDTH)
     if corridor.room(x) <= 0.0:
         return
@@ -95,7 +104,7 @@ def test_nothing_just_outside_is_allowed(seed: int) -> None:
 def test_a_ball_between_the_walls_stays_between_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     path, tip = zigzag(seed), 4e-4
-    corridor = vf.CorridorFixture(path, DOWN, WIDTH)
+    corridor = corridor_along(path)
     x = somewhere(path, rng, 0.3 * WIDTH)
     if corridor.room(x) <= tip:
         return
@@ -204,6 +213,80 @@ def test_corridor_and_mesh_hold_together() -> None:
 def test_unusable_corridors_are_refused(path, direction, width, word) -> None:
     with pytest.raises(ValueError, match=word):
         vf.CorridorFixture(np.array(path, dtype=float), direction, width)
+
+
+def omega(neck: float) -> np.ndarray:
+    """A path (6, 3) [mm] whose two arms come as near to each other as `neck` and part again."""
+    half = 0.5 * neck
+    flat = [[-10, 20], [-half, 10], [-6, 0], [6, 0], [half, 10], [10, 20]]
+    return np.column_stack([np.array(flat), np.zeros(6)])
+
+
+def test_a_path_that_comes_near_itself_is_refused_and_one_that_keeps_off_is_not() -> None:
+    for neck in (1.6, 1.0, 0.1, -3.0):
+        with pytest.raises(ValueError, match=r"near to itself.* legs \d and \d meet") as error:
+            vf.CorridorFixture(1e-3 * omega(neck), DOWN, 1e-3)
+        assert "±1 mm" in str(error.value)
+    for neck in (3.0, 4.0):
+        corridor = vf.CorridorFixture(1e-3 * omega(neck), DOWN, 1e-3)
+        assert corridor.room(np.array([0.0, 0.0, 0.0])) == pytest.approx(1e-3)
+        assert corridor.room(np.array([0.0, 10e-3, 0.0])) < 0.0  # between the arms
+    assert vf.CorridorFixture(1e-3 * omega(1.0), DOWN, 2e-4).width == 2e-4  # a narrower one fits
+
+
+def test_paths_whose_ends_carried_on_run_into_the_path_are_refused() -> None:
+    """Two ticks of such a corridor passed a wall: which side of crossing walls is free is open."""
+    spiral = [
+        [-5.7476, -0.1137], [-5.3373, 2.3558], [-4.3998, 3.83], [-0.8444, 3.458], [0, 0],
+        [-0.7262, -1.4069], [-3.5517, -3.5862], [-6.6534, -4.6258], [-8.6178, -4.3874],
+    ]  # fmt: skip
+    turn = np.linspace(0.0, 2.0 * np.pi, 24)
+    ring = 10.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    for flat in (np.array(spiral), ring, ring[:-1], ring[:16]):
+        path = 1e-3 * np.column_stack([flat, np.zeros(len(flat))])
+        with pytest.raises(ValueError, match="near to itself"):
+            vf.CorridorFixture(path, DOWN, 1.2e-5)
+    vf.CorridorFixture(1e-3 * np.column_stack([ring[:12], np.zeros(12)]), DOWN, 1.2e-5)
+
+
+@pytest.mark.slow
+def test_no_tick_between_walls_that_keep_apart_passes_one() -> None:
+    """Judged by the distance from the path and by the walls themselves, whatever is promised."""
+    arm = robots.load("point")
+    rotation = arm.tip(arm.neutral).rotation
+    used = 0
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        path = zigzag(seed, int(rng.integers(2, 9)), 2.0)
+        path += [0.0, 0.0, -0.12 - path[:, 2].mean()]
+        width = 10.0 ** rng.uniform(-4.5, -3.0)
+        try:
+            corridor = vf.CorridorFixture(path, DOWN, width, (None, 5e-3, 5e-5)[seed % 3])
+        except ValueError:
+            continue
+        used += 1
+        walls = [w[:, :2, :2] for w in corridor.ribbons(1e-3, 0.9)]
+        a, b = np.concatenate([w[:, 0] for w in walls]), np.concatenate([w[:, 1] for w in walls])
+        controller = vf.Controller(arm, [corridor], vf.Settings(dt=(1e-3, 1e-2)[seed % 2]))
+        q = arm.inverse(pin.SE3(rotation, path[len(path) // 2]))
+        x = arm.tip(q).translation
+        for tick in range(100):
+            if tick % 10 == 0:
+                way = rng.normal(size=3) * 0.01
+            q = controller.step(q, pin.SE3(rotation, x + way)).q
+            y = arm.tip(q).translation
+            assert aside(path, y[None])[0] <= width + 1e-12
+            left = np.sign(_turn(x[:2], y[:2], a) * _turn(x[:2], y[:2], b))
+            right = np.sign(_turn(a, b, x[:2]) * _turn(a, b, y[:2]))
+            assert not ((left < 0) & (right < 0)).any()
+            x = y
+    assert used > 40
+
+
+def _turn(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Which side of the line from p to q the point r is on, in the plane."""
+    u, v = q - p, r - p
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
 def test_the_direction_of_a_sagittal_cut_lies_in_its_plane() -> None:
