@@ -18,10 +18,12 @@ from meshes.volume.stack import Slice, stacked
 
 # How the files of a series are named: IM0001, 1.2.840.113619.2, slice.dcm, head.CT.12.IMA.
 _SLICE_NAME = re.compile(r"(^[^.]+$|\.(dcm|dicom|dic|ima|img|\d+)$)", re.IGNORECASE)
+SUFFIXES = (".dcm", ".dicom", ".ima")
 _OTHERS = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"%PDF", b"PK\3\4", b"\x1f\x8b", b"BM")
 _IMPLICIT = (b"\x08\0", b"\x02\0")  # first group of files without preamble
 _LOCALIZER = "LOCALIZER"
 _STANDARD = "1.2.840.10008."
+_IN_SPACE = (0x00209057, 0x00200032)  # InStackPositionNumber, ImagePositionPatient
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class _Frame:
     frame: int
     slope: float
     intercept: float
+    group: tuple[int, ...] = ()  # time point, echo and so on, of which a file may hold several
 
 
 def is_dicom(start: bytes) -> bool:
@@ -48,7 +51,6 @@ def read(path: Path, volume: int | None) -> Stored:
             no grid, or pixels that cannot be decoded; in one line.
     """
     library("pydicom")
-    one_of(1, volume, "volumes")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of small offences against the standard
         # Decoders fill up what a cut-off picture lacks.
@@ -59,6 +61,7 @@ def read(path: Path, volume: int | None) -> Stored:
         frames = [frame for name, one in datasets for frame in _frames(name, one)]
         if len(frames) == 1 and not path.is_dir():
             raise MeshError("it is a single slice: give the folder that its series is in")
+        frames = _one_group(frames, volume)
         stack = stacked([frame.slice for frame in frames])
         values = _values([frames[k] for k in stack.order])
     notes += _fewer(datasets, len(frames)) + stack.notes
@@ -127,7 +130,9 @@ def _images(
             other += 1  # reports, plans, presentation states, directories
             continue
         if "PixelData" not in one and "FloatPixelData" not in one:
-            raise MeshError(f"{name} is damaged: it ends before its pixels")
+            raise MeshError(f"{name} has no pixels: it is cut off, or they were taken out")
+        if "MOSAIC" in one.get("ImageType", ""):
+            raise MeshError(f"{name} has all slices in one picture (mosaic): convert it to NIfTI")
         placed = "ImagePositionPatient" in one or "PerFrameFunctionalGroupsSequence" in one
         if not placed and int(one.get("NumberOfFrames") or 1) > 1:
             raise MeshError(f"{name} is a multi-frame image that gives its frames no positions")
@@ -136,7 +141,10 @@ def _images(
             continue
         slices.append((name, one))
     if not slices:
-        folders = path.is_dir() and any(inner.is_dir() for inner in path.iterdir())
+        if not path.is_dir():
+            kind = f" but {_kind(datasets[0][1])}" if datasets else ""
+            raise MeshError(f"it is no DICOM slice with pixels and a position{kind}")
+        folders = any(inner.is_dir() for inner in path.iterdir())
         raise MeshError(
             f"0 DICOM slices with pixels and a position among {len(datasets)} DICOM files"
             + (": give one of the folders in it" if folders else "")
@@ -188,6 +196,12 @@ def _frames(name: str, dataset: Any) -> Iterator[_Frame]:
     count = int(dataset.get("NumberOfFrames") or 1)
     if len(own) != count:
         raise MeshError(f"{name} promises {count} frames and describes {len(own)}")
+    # A frame's numbers along the file's dimensions, those in space left out.
+    dimensions = [
+        n
+        for n, one in enumerate(dataset.get("DimensionIndexSequence") or ())
+        if one.get("DimensionIndexPointer") not in _IN_SPACE
+    ]
     shared: Any = next(iter(dataset.get("SharedFunctionalGroupsSequence") or ()), {})
     for k, groups in enumerate(own):
         frame = f"frame {k + 1} of {name}"
@@ -199,10 +213,21 @@ def _frames(name: str, dataset: Any) -> Iterator[_Frame]:
         for key, sequence in zip(_PLACE, _GROUPS, strict=True):
             place.append(_number_list(frame, group(sequence), key))
         values = group("PixelValueTransformationSequence")
+        numbers = np.atleast_1d(group("FrameContentSequence").get("DimensionIndexValues", ()))
+        others = tuple(int(numbers[n]) for n in dimensions if n < len(numbers))
         yield _Frame(
             _slice(place, size), dataset, k, _number(values, "RescaleSlope", 1.0),
-            _number(values, "RescaleIntercept", 0.0),
+            _number(values, "RescaleIntercept", 0.0), others,
         )  # fmt: skip
+
+
+def _one_group(frames: list[_Frame], volume: int | None) -> list[_Frame]:
+    """The frames of one time point, echo or phase."""
+    groups = sorted({frame.group for frame in frames})
+    if len(frames) < 2 * len(groups):  # each frame by itself: no series of volumes
+        groups = [()]
+    chosen = groups[one_of(len(groups), volume, "volumes (time points, echoes or phases)")]
+    return [frame for frame in frames if len(groups) == 1 or frame.group == chosen]
 
 
 _PLACE = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")

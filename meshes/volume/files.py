@@ -58,7 +58,9 @@ def _stored(file: Path, volume: int | None) -> Stored:
         return dicom.read(file, volume)
     name = file.name.lower()
     start = head(file, 600)
-    if dicom.is_dicom(start):
+    if not start:
+        raise MeshError("is empty")
+    if dicom.is_dicom(start) or name.endswith(dicom.SUFFIXES):
         return dicom.read(file, volume)
     if start.startswith(b"NRRD000"):
         return nrrd.read(file, volume)

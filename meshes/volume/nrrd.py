@@ -74,7 +74,7 @@ def read(file: Path, volume: int | None) -> Stored:
     if others and len(kinds) == len(sizes) and kinds[place] in _COLOURS:
         raise MeshError("it is a colour image (red, green, blue): a level needs one value a voxel")
     chosen = one_of(volumes, volume, "volumes, or layers of a segmentation,")
-    data, start, at_end = _data(file, fields, start)
+    data, start = _data(file, fields, start)
     dtype = np.dtype(_CODES[kind])
     if dtype.itemsize > 1 and fields["encoding"].lower() not in _TEXT:
         order = fields.get("endian", "").lower()
@@ -83,16 +83,19 @@ def read(file: Path, volume: int | None) -> Stored:
         dtype = dtype.newbyteorder("<" if order == "little" else ">")
     shape = (sizes[axes[0]], sizes[axes[1]], sizes[axes[2]])
     first = bool(others) and place < axes[0]
-    skip = max(int(fields.get("byteskip", 0)), 0)
     encoding = fields["encoding"].lower()
+    skip = int(fields.get("byteskip", 0))
+    if skip < -1 or (skip == -1 and encoding != "raw"):
+        raise MeshError(f"its voxels, encoded as {encoding}, cannot begin at byte {skip}")
     if encoding in _TEXT:
         flat = written_out(data, start + skip, dtype, shape, volumes)
         values = (flat.reshape(-1, volumes).T if first else flat.reshape(volumes, -1))[chosen]
         values = values.reshape(shape, order="F")
     else:
         packed = _PACKED[encoding]
-        if at_end:
-            start = max(start, data.stat().st_size - int(np.prod(sizes)) * dtype.itemsize)
+        if skip == -1:  # at the end of the file
+            promised = int(np.prod(np.array(sizes, dtype=object))) * dtype.itemsize
+            start, skip = max(start, data.stat().st_size - promised), 0
         values = voxels(
             data, start if packed else start + skip, dtype, shape, packed=packed,
             inner=skip if packed else 0, volumes=volumes, volume=chosen, interleaved=first,
@@ -131,8 +134,8 @@ def _needed(fields: dict[str, str], name: str) -> str:
     return fields[name]
 
 
-def _data(file: Path, fields: dict[str, str], start: int) -> tuple[Path, int, bool]:
-    """The file with the voxels, where they begin in it, and whether they are its last bytes."""
+def _data(file: Path, fields: dict[str, str], start: int) -> tuple[Path, int]:
+    """The file with the voxels, and where they begin in it, bytes to skip not counted."""
     encoding = _needed(fields, "encoding").lower()
     if encoding not in (*_PACKED, *_TEXT):
         choices = ", ".join((*_PACKED, *_TEXT))
@@ -150,7 +153,7 @@ def _data(file: Path, fields: dict[str, str], start: int) -> tuple[Path, int, bo
             for _ in range(lines):
                 stream.readline(_MOST_HEADER)
             start = stream.tell()
-    return data, start, int(fields.get("byteskip", 0)) == -1
+    return data, start
 
 
 def _directions(fields: dict[str, str], dimension: int) -> list[list[float] | None] | None:

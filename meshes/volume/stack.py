@@ -61,7 +61,7 @@ def stacked(slices: list[Slice]) -> Stack:
             or shifted sideways.
     """
     if len(slices) < 2:
-        raise MeshError(f"{len(slices)} slices with pixels and a position: two are needed")
+        raise MeshError(f"DICOM slices with pixels and a position: {len(slices)}, two are needed")
     first = slices[0]
     directions = np.stack([first.across, first.down])
     square = np.allclose(directions @ directions.T, np.eye(2), atol=1e-3)

@@ -123,6 +123,31 @@ def test_compressed_series_are_read(tmp_path: Path, name: str, uid: str) -> None
     np.testing.assert_array_equal(volume.read(folder).values, plain.values)
 
 
+def test_one_of_the_time_points_of_an_enhanced_file(tmp_path: Path) -> None:
+    """Told apart by the file's dimensions, in whatever order the frames stand."""
+    values, T = ball()
+    both = files.dicom_slices(values, T) + files.dicom_slices(values + 50, T)
+    order = np.random.default_rng(2).permutation(len(both)).tolist()
+    one = files.enhanced([both[k] for k in order], shuffled=False)
+    pointers = ("StackID", "InStackPositionNumber", "TemporalPositionIndex")
+    one.DimensionIndexSequence = pydicom.Sequence([pydicom.Dataset() for _ in pointers])
+    for item, name in zip(one.DimensionIndexSequence, pointers, strict=True):
+        item.DimensionIndexPointer = pydicom.datadict.tag_for_keyword(name)
+    for frame, k in zip(one.PerFrameFunctionalGroupsSequence, order, strict=True):
+        content = pydicom.Dataset()
+        content.DimensionIndexValues = [1, k % 7 + 1, k // 7 + 1]
+        frame.FrameContentSequence = pydicom.Sequence([content])
+    path = tmp_path / "e.dcm"
+    one.save_as(path, enforce_file_format=True)
+    assert "holds 2 volumes (time points, echoes or phases): choose one of 0 to 1" in reason(path)
+    plain = volume.read(files.write_dicom(tmp_path / "plain", files.dicom_slices(values, T)))
+    for k in range(2):
+        np.testing.assert_array_equal(volume.read(path, volume=k).values, plain.values + 50 * k)
+    del one.DimensionIndexSequence
+    one.save_as(path, enforce_file_format=True)
+    assert "lie in the same place" in reason(path)
+
+
 def at_heights(heights: np.ndarray, tilt: float = 0.0) -> list[pydicom.Dataset]:
     """Slices of a ball of 15 mm around (0, 0, 30) LPS, shifted by ``tilt`` of their height."""
     x, y = np.arange(40.0) - 20.0, np.arange(40.0) - 20.0
@@ -230,7 +255,18 @@ def test_refusals_name_what_it_is(tmp_path: Path) -> None:
     other.SeriesInstanceUID, other.SeriesDescription = "1.2.3", "Bone 0.6"
     other.save_as(folder / "IM9999", enforce_file_format=True)
     assert "2 series in one folder (unnamed: 7, Bone 0.6: 1)" in reason(folder)
+    (folder / "IM9999").unlink()
     assert "there is no volume 1" in reason(folder, volume=1)
+    mosaic = files.dicom_slices(values, T)
+    for one in mosaic:
+        one.ImageType = ["ORIGINAL", "PRIMARY", "M", "ND", "MOSAIC"]
+    assert "all slices in one picture" in reason(files.write_dicom(tmp_path / "mosaic", mosaic))
+    one = files.dicom_slices(values, T)[0]
+    del one.ImagePositionPatient
+    one.save_as(tmp_path / "placeless.dcm", enforce_file_format=True)
+    assert "no DICOM slice with pixels and a position but CT Image" in reason(
+        tmp_path / "placeless.dcm"
+    )
     colour = files.dicom_slices(values, T)
     for one in colour:
         one.SamplesPerPixel, one.PhotometricInterpretation, one.PlanarConfiguration = 3, "RGB", 0

@@ -169,7 +169,8 @@ def test_where_the_file_does_not_say_how_the_patient_lies_it_is_said(tmp_path: P
         b"ElementType = MET_FLOAT\nElementDataFile = LOCAL\n" + raw
     )
     for path in sorted(tmp_path.glob("[ans]*.[!h]*")):
-        with pytest.warns(UserWarning, match="left and right") as told:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
             read = volume.read(path)
         assert [str(one.message) for one in told] == [f"{path.name}: {x}" for x in read.notes]
         assert read.frame is None
@@ -295,6 +296,10 @@ def test_refusals_name_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     turned[-6] ^= 1
     (tmp_path / "turned.nii.gz").write_bytes(turned)
     assert "is damaged" in reason(tmp_path / "turned.nii.gz")
+    (tmp_path / "empty.nrrd").write_bytes(b"")
+    assert reason(tmp_path / "empty.nrrd").endswith("is empty")
+    files.write_nrrd(tmp_path / "skip.nrrd", values, T, extra="byte skip: -1\n")
+    assert "cannot begin at byte -1" in reason(tmp_path / "skip.nrrd")
 
     def missing(name: str) -> None:
         raise ImportError(name)

@@ -190,8 +190,8 @@ _COPIED = (
 )  # fmt: skip
 
 
-def enhanced(slices: list[pydicom.Dataset]) -> pydicom.Dataset:
-    """The same slices as the frames of one enhanced CT, in a shuffled order."""
+def enhanced(slices: list[pydicom.Dataset], shuffled: bool = True) -> pydicom.Dataset:
+    """The same slices as the frames of one enhanced CT."""
 
     def item(**values: object) -> pydicom.Sequence:
         inner = pydicom.Dataset()
@@ -199,7 +199,9 @@ def enhanced(slices: list[pydicom.Dataset]) -> pydicom.Dataset:
             setattr(inner, key, value)
         return pydicom.Sequence([inner])
 
-    order = np.random.default_rng(1).permutation(len(slices)).tolist()
+    order = list(range(len(slices)))
+    if shuffled:
+        order = np.random.default_rng(1).permutation(len(slices)).tolist()
     first = slices[0]
     one = pydicom.Dataset()
     one.file_meta = pydicom.dataset.FileMetaDataset()
