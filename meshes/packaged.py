@@ -42,7 +42,7 @@ def release(package: str) -> str:
 
 def has_nilearn() -> bool:
     """Whether nilearn's surfaces and templates are here, and what reads them."""
-    readers = all(importlib.util.find_spec(name) for name in ("nibabel", "skimage"))
+    readers = importlib.util.find_spec("nibabel") is not None
     place = folder("nilearn")
     # A release that moved its data has none for us.
     return readers and place is not None and (place / _PIAL.format("left")).is_file()
@@ -101,7 +101,8 @@ def _metres(points: NDArray[np.float64]) -> float:
 def _tissue() -> volume.Volume:
     """Probability of grey or white matter in the MNI152 template."""
     grey, white = (volume.read(_file("nilearn", _MNI.format(kind))) for kind in ("gm", "wm"))
-    return volume.Volume((grey.values + white.values) / 255.0, grey.T_world_voxel, "MNI152")
+    share = (grey.values.astype(np.float32) + white.values.astype(np.float32)) / np.float32(255.0)
+    return volume.Volume(share, grey.T_world_voxel, "MNI152")
 
 
 def _outside(tissue: volume.Volume) -> Arrays:

@@ -70,17 +70,21 @@ class Repair:
 
 @dataclass(frozen=True)
 class FromVolume:
-    """Make a surface of a CT or MR volume: a NIfTI file, or a folder of DICOM slices.
+    """Make a surface of a CT or MR volume, at a level, or of one label of a label map.
 
-    In the patient's world coordinates: x to the right, y to the front, z up (RAS). Needs the extra
-    'volume'. Exit code 0: written; 2: nothing written."""
+    In the patient's world coordinates: x to the right, y to the front, z up (RAS). NIfTI and DICOM
+    need the extra 'volume'. Exit code 0: written; 2: nothing written."""
 
-    volume: File
-    """NIfTI file (.nii, .nii.gz) or folder with one DICOM series."""
+    source: File
+    """NIfTI, MGH, NRRD or MetaImage file, or DICOM: a folder of slices or a multi-frame file."""
     out: File
     """File to write: .stl, .obj, .ply, .off (in mm) or .glb (in m)."""
-    level: float
+    level: float | None = None
     """Value at the surface: in a CT, bone is above some 300 (Hounsfield units)."""
+    label: int | None = None
+    """Number of a structure in a label map, instead of a level."""
+    volume: int | None = None
+    """Which volume of a file with several (a time series, layers of labels): from 0."""
     smooth: Length = 0.0
     """Standard deviation of a Gaussian before, such as 0.5mm."""
     largest: bool = False
@@ -228,16 +232,27 @@ def _from_volume(options: FromVolume) -> int:
     import numpy as np
 
     from meshes import volume
+    from meshes.frames import told
     from meshes.save import check_writable, save
 
+    if options.level is not None and options.label is not None:
+        raise OptionError("give --level for an image or --label for a label map, not both")
     check_writable(options.out, options.overwrite)
     with _stages() as say:
-        grid = volume.read(options.volume, say)
+        with _notes():
+            grid = volume.read(options.source, volume=options.volume, progress=say)
+        field, level = grid, options.level
+        if options.label is not None:
+            field, level = volume.one_label(grid, options.label), volume.MIDDLE
+        if level is None:
+            raise OptionError(
+                f"{options.source}: give --level, or --label for a label map: {volume.told(grid)}"
+            )
         vertices, faces = volume.surface(
-            grid, options.level, smooth=options.smooth, largest=options.largest, progress=say
+            field, level, smooth=options.smooth, largest=options.largest, progress=say
         )
         say(f"writing {options.out}")
-        save(options.out, vertices, faces, unit="mm", overwrite=options.overwrite)
+        save(options.out, vertices, faces, unit="mm", frame=grid.frame, overwrite=options.overwrite)
     spacing = " × ".join(
         f"{1e3 * s:.3g}" for s in np.linalg.norm(grid.T_world_voxel[:3, :3], axis=0)
     )
@@ -245,9 +260,10 @@ def _from_volume(options: FromVolume) -> int:
     shape = " × ".join(map(str, grid.values.shape))
     unit = "m" if options.out.lower().endswith(".glb") else "mm"
     console = _console()
-    console.print(f"read: {escape(options.volume)}, {shape} voxels of {spacing} mm", soft_wrap=True)
+    console.print(f"read: {escape(options.source)}, {shape} voxels of {spacing} mm", soft_wrap=True)
     console.print(
-        f"written: {escape(options.out)}, {len(faces):,} triangles, {size} mm, in {unit}",
+        f"written: {escape(options.out)}, {len(faces):,} triangles, {size} mm, in {unit}, "
+        + (told(grid.frame) if grid.frame else "left and right a guess"),
         soft_wrap=True,
     )
     return SOUND
@@ -259,11 +275,21 @@ def _opened(name: str, unit: str | None) -> tuple[Arrays, str, list[str]]:
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        mesh, unit = read(name, unit=unit)
+        found = read(name, unit=unit)
     notes = [str(warning.message) for warning in caught]
     for note in notes:
         print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
-    return mesh, unit, notes
+    return found.arrays, found.unit, notes
+
+
+@contextmanager
+def _notes() -> Iterator[None]:
+    """Tells warnings as notes on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for warning in caught:
+        print(f"vf-sandbox mesh: note: {warning.message}", file=sys.stderr)
 
 
 def _console() -> Console:

@@ -1,0 +1,151 @@
+"""What reading a volume gives: values on a grid, where the grid lies, and what is to be told."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import MeshError
+
+FloatArray = NDArray[np.float64]
+
+MOST_VOXELS = 400_000_000
+MOST_BYTES = 4_000_000_000  # of voxels in one file, inflated
+LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+GUESS = (
+    "{} does not say how the patient lies in it: left and right are a guess, "
+    "and so are front and top"
+)
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A scalar field on a grid.
+
+    Attributes:
+        values: ``(i, j, k)`` real numbers, as the file holds them: whole numbers stay whole, what
+            the file scales becomes float32. NaN is outside of everything, infinities are what they
+            say.
+        T_world_voxel: ``(4, 4)`` from indices (at voxels' centres) to world coordinates [m].
+        name: for the reader.
+        frame: "RAS", the patient frame of the world coordinates; None where the file does not say
+            how the patient lies, and the axes are a guess.
+        notes: what the user should know about how it was read, a sentence each.
+        names: names of labels, where the file gives them.
+    """
+
+    values: NDArray[Any]
+    T_world_voxel: FloatArray
+    name: str
+    frame: str | None = "RAS"
+    notes: tuple[str, ...] = ()
+    names: tuple[tuple[int, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What a reader of one format found: as a `Volume`, but in millimetres and not checked."""
+
+    values: NDArray[Any]
+    T_world_voxel_mm: FloatArray
+    frame: str | None
+    notes: tuple[str, ...] = ()
+    names: tuple[tuple[int, str], ...] = ()
+
+
+def checked(stored: Stored, name: str) -> Volume:
+    """A volume in metres.
+
+    Raises:
+        MeshError: not three dimensions of two voxels and more, or a grid without volume.
+    """
+    values = stored.values
+    check_size(values.shape)
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
+    if values.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # beyond single precision: infinite, and so it counts
+            values = values.astype(np.float32, copy=False)
+    T = np.array(stored.T_world_voxel_mm, dtype=np.float64)
+    T[:3] *= 1e-3  # [mm] -> [m]
+    steps = np.linalg.norm(T[:3, :3], axis=0)
+    if not np.isfinite(T).all() or not (steps > 1e-9).all() or not (steps < 1.0).all():
+        sides = " × ".join(f"{1e3 * step:.4g}" for step in steps)
+        raise MeshError(f"its voxels are {sides} mm: each side must be between 1e-6 and 1000 mm")
+    if abs(np.linalg.det(T[:3, :3] / steps)) < 1e-6:
+        raise MeshError("its grid has no volume: two of its axes point the same way")
+    if np.abs(T[:3, 3]).max() > 1e3:
+        raise MeshError(f"it lies {np.abs(T[:3, 3]).max():.4g} m from the origin: at most 1000 m")
+    return Volume(values, T, name, stored.frame, stored.notes, stored.names)
+
+
+def check_size(shape: tuple[int, ...]) -> None:
+    """Refuse what is no volume, or too large a one, before its values are read.
+
+    Raises:
+        MeshError: in one line.
+    """
+    if len(shape) != 3 or min(shape) < 2:
+        raise MeshError(
+            f"its size is {_times(shape)} voxels, not a volume of two and more in each direction"
+        )
+    count = int(np.prod(np.array(shape, dtype=object)))
+    if count > MOST_VOXELS:
+        raise MeshError(
+            f"its {_times(shape)} are {count:,} voxels, more than the {MOST_VOXELS:,} allowed"
+        )
+
+
+def scaled(values: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
+    """``slope * values + intercept``: the values themselves for 1 and 0, float32 otherwise.
+
+    Raises:
+        MeshError: a slope or intercept that cannot be.
+    """
+    if (slope, intercept) == (1.0, 0.0):
+        return values
+    if not (np.isfinite([slope, intercept]).all() and slope != 0.0):
+        raise MeshError(f"its values are scaled by {slope:g} and shifted by {intercept:g}")
+    result = np.empty(values.shape, dtype=np.float32, order="F")
+    for k in range(values.shape[-1]):
+        result[..., k] = values[..., k].astype(np.float64) * slope + intercept
+    return result
+
+
+def one_of(count: int, chosen: int | None, what: str) -> int:
+    """Which of several volumes in a file is meant.
+
+    Raises:
+        MeshError: none chosen where there are several, or one that is not there.
+    """
+    if chosen is None and count == 1:
+        return 0
+    if chosen is None:
+        raise MeshError(f"holds {count} {what}: choose one of 0 to {count - 1} (--volume)")
+    if not 0 <= chosen < count:
+        are = f"{count} {what}: 0 to {count - 1}" if count > 1 else "one volume: 0"
+        raise MeshError(f"there is no volume {chosen}: it holds {are}")
+    return chosen
+
+
+def library(name: str) -> ModuleType:
+    """A module of the extra ``volume``.
+
+    Raises:
+        MeshError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise MeshError(
+            f"{name.partition('.')[0]} is not installed: this needs the extra 'volume' "
+            "(pip install 'vf-sandbox[volume]')"
+        ) from error
+
+
+def _times(shape: tuple[int, ...]) -> str:
+    return " × ".join(map(str, shape))

@@ -1,0 +1,170 @@
+"""The voxels of a file as it stores them: raw or compressed, one volume of several, counted."""
+
+from __future__ import annotations
+
+import bz2
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import MeshError
+from meshes.volume.grid import MOST_BYTES, check_size
+
+_CHUNK = 1 << 20
+_MOST_AFTER = 16 << 20  # bytes after the voxels that are looked through for the checksum
+_MAGIC = {"gzip": b"\x1f\x8b", "bzip2": b"BZh"}
+
+
+def compression(file: Path) -> str:
+    """ "gzip" or "", by the file's first bytes: names do not always tell."""
+    with open(file, "rb") as stream:
+        return "gzip" if stream.read(2) == _MAGIC["gzip"] else ""
+
+
+def head(file: Path, length: int) -> bytes:
+    """The first bytes of a file, inflated if it is gzipped: ``length`` or fewer."""
+    found = b""
+    for piece in pieces(file, 0, compression(file)):
+        found += piece
+        if len(found) >= length:
+            break
+    return found[:length]
+
+
+def pieces(file: Path, start: int, packed: str) -> Iterator[bytes]:
+    """The bytes from ``start`` on, inflated, at most a megabyte at once.
+
+    ``packed`` is "" (as they stand), "gzip" (zlib is told from it by its first bytes) or "bzip2".
+
+    Raises:
+        MeshError: the compressed bytes are damaged or end early.
+    """
+    with open(file, "rb") as stream:
+        stream.seek(start)
+        if not packed:
+            while piece := stream.read(_CHUNK):
+                yield piece
+            return
+        magic = _MAGIC[packed]
+        rest = stream.read(_CHUNK)
+        while rest:
+            engine: Any = bz2.BZ2Decompressor() if packed == "bzip2" else _Inflate()
+            try:
+                while not engine.eof:
+                    if engine.needs_input and not rest:
+                        raise MeshError("it is cut off: what is compressed in it ends early")
+                    piece = engine.decompress(rest, _CHUNK)
+                    rest = stream.read(_CHUNK) if engine.needs_input and not engine.eof else b""
+                    yield piece
+            except (zlib.error, OSError, EOFError):
+                raise MeshError("what is compressed in it is damaged") from None
+            # Another part may follow, or bytes that are none of it.
+            rest = engine.unused_data + stream.read(_CHUNK)
+            if not rest.startswith(magic):
+                return
+
+
+class _Inflate:
+    """zlib with the interface of `bz2.BZ2Decompressor`."""
+
+    def __init__(self) -> None:
+        self._engine = zlib.decompressobj(wbits=47)  # gzip or zlib, with its checksum
+
+    def decompress(self, data: bytes, most: int) -> bytes:
+        return self._engine.decompress(self._engine.unconsumed_tail + data, most)
+
+    @property
+    def eof(self) -> bool:
+        return self._engine.eof
+
+    @property
+    def needs_input(self) -> bool:
+        return not self._engine.unconsumed_tail
+
+    @property
+    def unused_data(self) -> bytes:
+        return self._engine.unused_data
+
+
+def voxels(
+    file: Path,
+    start: int,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    *,
+    packed: str = "",
+    inner: int = 0,
+    volumes: int = 1,
+    volume: int = 0,
+    interleaved: bool = False,
+) -> NDArray[Any]:
+    """One volume ``shape`` of three dimensions, first index fastest in the file.
+
+    Args:
+        start: offset in the file of the voxels, or of what is compressed.
+        inner: offset of the voxels in what is inflated.
+        volumes, volume: how many the file promises, and which one is wanted.
+        interleaved: the volumes' values stand together at each voxel, not one volume after another.
+
+    Raises:
+        MeshError: too large, damaged, or fewer bytes than promised.
+    """
+    check_size(shape)
+    each = int(np.prod(np.array(shape, dtype=object))) * dtype.itemsize
+    promised = each * volumes
+    if promised > MOST_BYTES:
+        raise MeshError(
+            f"its header promises {promised / 1e9:,.1f} GB of voxels, "
+            f"more than the {MOST_BYTES / 1e9:g} GB allowed"
+        )
+    first, length = (0, promised) if interleaved else (volume * each, each)
+    first += inner
+    found = np.empty(length, dtype=np.uint8)
+    end = inner + promised
+    position = 0
+    for piece in pieces(file, start, packed):
+        low, high = max(position, first), min(position + len(piece), first + length)
+        if low < high:
+            found[low - first : high - first] = np.frombuffer(
+                piece, np.uint8, high - low, low - position
+            )
+        position += len(piece)
+        # To the end of what is compressed, where its checksum is.
+        if position >= end + (_MOST_AFTER if packed else 0):
+            break
+    if position < end:
+        raise MeshError(
+            f"it is cut off: its header promises {promised:,} bytes of voxels, "
+            f"{max(position - inner, 0):,} are there"
+        )
+    values = found.view(dtype)
+    if interleaved:
+        values = values.reshape(-1, volumes)[:, volume]
+    return values.reshape(shape, order="F")
+
+
+def written_out(
+    file: Path, start: int, dtype: np.dtype[Any], shape: tuple[int, ...], volumes: int
+) -> NDArray[Any]:
+    """Numbers in text, ``(volumes, …)`` flat in the file's order.
+
+    Raises:
+        MeshError: too large, not numbers, or fewer than promised.
+    """
+    check_size(shape)
+    wanted = int(np.prod(np.array(shape, dtype=object))) * volumes
+    with open(file, "rb") as stream:
+        stream.seek(start)
+        words = stream.read().replace(b",", b" ").split()
+    if len(words) < wanted:
+        raise MeshError(
+            f"it is cut off: its header promises {wanted:,} values, {len(words):,} are there"
+        )
+    try:
+        return np.array(words[:wanted], dtype=np.float64).astype(dtype)
+    except ValueError as error:
+        raise MeshError(f"its voxels are not numbers ({error})") from None

@@ -1,0 +1,212 @@
+"""The surface where a volume's values pass a level, closed whatever the values are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from meshes.errors import MeshError
+from meshes.shapes import Arrays
+from meshes.topology import topology
+from meshes.volume.cubes import triangles
+from meshes.volume.grid import FloatArray, Volume
+
+IntArray = NDArray[np.int64]
+
+MOST_TRIANGLES = 20_000_000
+_SLAB = 2_000_000  # voxels looked at together
+# Vertices keep this share of the voxels' distance from the voxels: where a value is the level
+# itself, triangles keep an area that single precision can hold.
+_CLEAR = 1e-3
+_LARGEST_VALUE = 1e100  # differences of two values must be finite
+
+
+def surface(
+    volume: Volume,
+    level: float,
+    *,
+    smooth: float = 0.0,
+    largest: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Arrays:
+    """The surface where the values pass ``level``: vertices ``(n, 3)`` [m], world, and faces.
+
+    Voxels above the level are inside; those below or at it, and those that are not a number, are
+    outside, and so is everything around the volume. Whatever the values, the surface is closed
+    and manifold (each edge joins two faces, each face has an area) and wound outwards; what
+    reaches the volume's border is cut flat within a voxel of it. Vertices lie where the values
+    between two voxels pass the level linearly, except that they keep a thousandth of the distance
+    from the voxels.
+
+    Args:
+        smooth: standard deviation of a Gaussian before it [m]; better than decimating after.
+        largest: keep only the piece with the largest bounding box.
+
+    Raises:
+        MeshError: the level lies outside the volume's values, or the surface would have more than
+            `MOST_TRIANGLES`.
+    """
+    say = progress or (lambda _stage: None)
+    if not (np.isfinite(level) and np.isfinite(smooth) and smooth >= 0.0):
+        raise MeshError(f"level must be finite and smooth zero or more, not {level} and {smooth}")
+    values, outside, within = _finite(volume, float(level))
+    if smooth:
+        say("smoothing")
+        spacing = np.linalg.norm(volume.T_world_voxel[:3, :3], axis=0)  # [m/voxel]
+        values = gaussian_filter(
+            _replaced(values, outside, within).astype(np.float32), smooth / spacing
+        )
+        if not values.min() < level < values.max():
+            raise MeshError(f"{volume.name}: nothing of level {level:g} is left after smoothing")
+    say("marching cubes")
+    corners: list[IntArray] = []
+    count = 0
+    # One voxel of outside all around: indices here are one more than the volume's.
+    shape = (values.shape[0] + 2, values.shape[1] + 2, values.shape[2] + 2)
+    for start, above in _slabs(values, np.float64(level), outside, within):
+        found = _triangles(above, start, shape)
+        count += len(found)
+        if count > MOST_TRIANGLES:
+            raise MeshError(
+                f"{volume.name}: at level {level:g} there are more than {MOST_TRIANGLES:,} "
+                "triangles: choose another level, smooth, or take a part of the volume"
+            )
+        corners.append(found)
+    edges, faces = np.unique(np.concatenate(corners), return_inverse=True)
+    points = _points(values, edges, shape, np.float64(level), outside, within)
+    vertices = points @ volume.T_world_voxel[:3, :3].T + volume.T_world_voxel[:3, 3]
+    faces = faces.reshape(-1, 3).astype(np.int64)
+    if np.linalg.det(volume.T_world_voxel[:3, :3]) < 0.0:
+        faces = faces[:, ::-1]
+    if largest:
+        say("largest piece")
+        faces = _largest(vertices, faces)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    return vertices[used], np.ascontiguousarray((np.cumsum(used) - 1)[faces])
+
+
+def _finite(volume: Volume, level: float) -> tuple[NDArray[Any], float, float]:
+    """The values, what counts for NaN, minus infinity and around, and what for infinity."""
+    values = volume.values
+    low, high, count, below = np.inf, -np.inf, 0, False
+    for first in range(0, values.shape[0], _planes(values)):
+        part = values[first : first + _planes(values)]
+        here = part[np.isfinite(part)]
+        count += len(here)
+        if len(here):
+            low, high = min(low, float(here.min())), max(high, float(here.max()))
+        below |= bool((np.isnan(part) | (part == -np.inf)).any())
+    if count == 0:
+        raise MeshError(f"{volume.name}: no voxel has a finite value")
+    if max(abs(low), abs(high)) > _LARGEST_VALUE:
+        raise MeshError(f"{volume.name}: its values run from {low:g} to {high:g}: too large")
+    above = count < values.size and bool((values == np.inf).any())
+    if not (low < level or below) or not (level < high or above):
+        not_finite = f", {values.size - count:,} are not finite" if count < values.size else ""
+        raise MeshError(
+            f"{volume.name}: no surface at level {level:g}: "
+            f"its values run from {low:g} to {high:g}{not_finite}"
+        )
+    # As far on the other side as the nearest known value, where there is none on this one.
+    return (
+        values,
+        low if low < level else 2.0 * level - high,
+        high if high > level else 2.0 * level - low,
+    )
+
+
+def _planes(values: NDArray[Any]) -> int:
+    return max(1, _SLAB // (values.shape[1] * values.shape[2]))
+
+
+def _replaced(values: NDArray[Any], outside: float, within: float) -> NDArray[Any]:
+    if values.dtype.kind != "f":
+        return values
+    return np.nan_to_num(values, copy=True, nan=outside, posinf=within, neginf=outside)
+
+
+def _slabs(
+    values: NDArray[Any], level: np.float64, outside: float, within: float
+) -> Iterator[tuple[int, FloatArray]]:
+    """Heights above the level on a few planes and the next, of the volume and one voxel around."""
+    planes, step = values.shape[0] + 2, _planes(values)
+    for start in range(0, planes - 1, step):
+        stop = min(start + step + 1, planes)
+        above = np.full((stop - start, values.shape[1] + 2, values.shape[2] + 2), outside - level)
+        first, last = max(start, 1), min(stop, planes - 1)
+        above[first - start : last - start, 1:-1, 1:-1] = (
+            _replaced(values[first - 1 : last - 1], outside, within) - level
+        )
+        yield start, above
+
+
+def _triangles(above: FloatArray, start: int, shape: tuple[int, int, int]) -> IntArray:
+    """Triangles (n, 3) of the cells between the planes, as numbers of grid edges.
+
+    A grid edge has three times the index of its lower voxel, plus its axis.
+    """
+    inside = above > 0.0
+    n, rows, columns = (size - 1 for size in above.shape)
+    signs = np.zeros((n, rows, columns), dtype=np.uint8)
+    for c in range(8):
+        x, y, z = c & 1, c >> 1 & 1, c >> 2
+        signs |= inside[x : x + n, y : y + rows, z : z + columns].astype(np.uint8) << np.uint8(c)
+    cells = np.flatnonzero((signs != 0) & (signs != 255))
+    if len(cells) == 0:
+        return np.zeros((0, 3), dtype=np.int64)
+    i, j, k = np.unravel_index(cells, signs.shape)
+    kinds, kind = np.unique(signs.ravel()[cells], return_inverse=True)
+    table = [triangles(int(code)) for code in kinds]
+    counts = np.array([len(one) for one in table], dtype=np.int64)
+    flat = np.array([triangle for one in table for triangle in one], dtype=np.int64)
+    starts = np.cumsum(counts) - counts
+    cell = np.repeat(np.arange(len(cells)), counts[kind])
+    ends = np.cumsum(counts[kind])
+    rank = np.arange(len(cell)) - np.repeat(ends - counts[kind], counts[kind])
+    numbers = flat[starts[kind[cell]] + rank]  # (n, 3) of the cell's edges
+    corner, axis = np.divmod(numbers, 3)
+    voxel = np.ravel_multi_index(
+        (
+            (start + i[cell])[:, None] + (corner & 1),
+            j[cell][:, None] + (corner >> 1 & 1),
+            k[cell][:, None] + (corner >> 2),
+        ),
+        shape,
+    )
+    return 3 * voxel + axis
+
+
+def _points(
+    values: NDArray[Any],
+    edges: IntArray,
+    shape: tuple[int, int, int],
+    level: np.float64,
+    outside: float,
+    within: float,
+) -> FloatArray:
+    """Where the values pass the level on grid edges, as indices (n, 3) of the volume."""
+    voxel, axis = np.divmod(edges, 3)
+    lower = np.stack(np.unravel_index(voxel, shape), axis=1) - 1  # (n, 3)
+    upper = lower + (axis[:, None] == np.arange(3))
+    heights = []
+    for index in (lower, upper):
+        known = ((index >= 0) & (index < values.shape)).all(axis=1)
+        height = np.full(len(index), outside - level)
+        height[known] = _replaced(values[tuple(index[known].T)], outside, within) - level
+        heights.append(height)
+    share = np.clip(heights[0] / (heights[0] - heights[1]), _CLEAR, 1.0 - _CLEAR)
+    return lower + (upper - lower) * share[:, None]
+
+
+def _largest(vertices: FloatArray, faces: IntArray) -> IntArray:
+    component = topology(faces, len(vertices)).components
+    count = int(component.max()) + 1
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, component, vertices[faces].min(axis=1))
+    np.maximum.at(high, component, vertices[faces].max(axis=1))
+    return faces[component == int(np.linalg.norm(high - low, axis=1).argmax())]
