@@ -5,8 +5,9 @@ Everything that comes out of this package is in metres.
 
 from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
+from meshes.frames import FRAMES
 from meshes.health import Finding, Health, health
-from meshes.load import FORMATS, UNITS, arrays, load
+from meshes.load import FORMATS, UNITS, Loaded, arrays, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
@@ -14,6 +15,7 @@ from meshes.save import WRITABLE, save
 
 __all__ = [
     "FORMATS",
+    "FRAMES",
     "UNITS",
     "UPS",
     "WRITABLE",
@@ -22,6 +24,7 @@ __all__ = [
     "Entry",
     "Finding",
     "Health",
+    "Loaded",
     "MeshError",
     "Placement",
     "Repaired",
@@ -36,6 +39,7 @@ __all__ = [
     "place",
     "placement",
     "planned_path",
+    "read",
     "read_path",
     "repair",
     "save",

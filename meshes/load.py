@@ -7,13 +7,14 @@ import io
 import os
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from meshes import gltf, obj, threemf
+from meshes import frames, gltf, obj, threemf
 from meshes.catalogue import absent, catalogue, first_use
 from meshes.errors import MeshError, UnitGuess
 from meshes.shapes import Arrays
@@ -25,6 +26,18 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf")
 SIZE_LIMIT = 500_000_000  # [byte] of a file: some ten million triangles
 SMALLEST, LARGEST = 1e-4, 10.0  # [m] diagonals that a surgical arm could have to do with
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A mesh as it was found."""
+
+    arrays: Arrays
+    """Vertices ``(n, 3)`` float64 [m] and faces ``(m, 3)`` int64."""
+    unit: str
+    """The unit the file is in, of `UNITS`: said by the user or the file, or guessed."""
+    frame: str | None
+    """The patient frame of the coordinates: "RAS", "LPS", or None where nothing says it."""
 
 
 def load(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> Surface:
@@ -59,19 +72,24 @@ def arrays(
     oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
     diagonal below 0.1 mm or above 10 m. ``progress`` is called with a few words before each step.
     """
-    return read(name_or_path, unit=unit, progress=progress)[0]
+    return read(name_or_path, unit=unit, progress=progress).arrays
 
 
 def read(
     name_or_path: str | os.PathLike[str],
     *,
     unit: str | None = None,
+    frame: str | None = None,
     progress: Callable[[str], None] | None = None,
-) -> tuple[Arrays, str]:
-    """The same as :func:`arrays`, and the unit the file is in: given, guessed or by its standard.
+) -> Loaded:
+    """The same as :func:`arrays`, with the unit and the patient frame that the file is in.
 
-    The catalogue's meshes are in "m".
+    ``frame`` is "RAS" or "LPS" where the file does not say it; nothing is turned. The catalogue's
+    meshes are in "m" and in no patient's frame.
+
+    Raises :class:`meshes.MeshError` also where ``frame`` contradicts the file.
     """
+    frame = frames.chosen(frame)
     if unit is not None and unit not in UNITS:
         raise MeshError(f"unknown unit {unit!r}: choose one of {', '.join(UNITS)}")
     say = progress or (lambda _stage: None)
@@ -80,12 +98,14 @@ def read(
         entry = catalogue()[name_or_path]
         if first_use(entry):
             say(f"making the mesh {entry.name} for the first time (kept for later runs)")
-        return entry.make(), "m"
+        return Loaded(entry.make(), "m", frame)
     path = Path(name_or_path)
     _check_file(path, str(name_or_path))
     kind = path.suffix[1:].lower()
     try:
-        vertices, faces, known = _parsed(path.read_bytes(), kind, path.parent)
+        data = path.read_bytes()
+        vertices, faces, known = _parsed(data, kind, path.parent)
+        frame = frames.agreed(frame, _frame(data, kind))
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     # Whatever a parser trips over in a damaged file, the file is what is wrong. MemoryError and
@@ -94,7 +114,7 @@ def read(
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise MeshError(f"{path}: cannot be read as {kind.upper()} ({reason})") from error
     unit = _unit(path, known, vertices, unit)
-    return (vertices * UNITS[unit], faces), unit
+    return Loaded((vertices * UNITS[unit], faces), unit, frame)
 
 
 def _check_file(path: Path, given: str) -> None:
@@ -148,6 +168,21 @@ def _parsed(
     if kind in ("stl", "glb", "gltf"):
         vertices, faces = _merged(vertices, faces)
     return *_compact(vertices, faces), known
+
+
+def _frame(data: bytes, kind: str) -> str | None:
+    """The frame that a file names where 3D Slicer names it: in a header or a comment."""
+    if kind == "stl":
+        return frames.in_text(
+            data[:80] if not data.startswith(b"solid") else data.partition(b"\n")[0]
+        )
+    if kind == "ply":
+        return frames.in_text(data.partition(b"end_header")[0])
+    if kind in ("obj", "off"):
+        return frames.in_text(b"\n".join(x for x in data[:4096].splitlines() if x.startswith(b"#")))
+    if kind == "glb":
+        return frames.in_text(data[:1000])
+    return None
 
 
 def _bodies(data: bytes, kind: str, folder: Path) -> list[Arrays]:

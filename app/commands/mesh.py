@@ -259,11 +259,11 @@ def _opened(name: str, unit: str | None) -> tuple[Arrays, str, list[str]]:
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        mesh, unit = read(name, unit=unit)
+        found = read(name, unit=unit)
     notes = [str(warning.message) for warning in caught]
     for note in notes:
         print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
-    return mesh, unit, notes
+    return found.arrays, found.unit, notes
 
 
 def _console() -> Console:

@@ -1,0 +1,76 @@
+"""The patient frame of a mesh file's coordinates: which way x and y point.
+
+"RAS": x to the patient's right, y to the front (anterior), z up (superior): NIfTI, FreeSurfer, and
+3D Slicer inside. "LPS": x to the left, y to the back (posterior), z up: DICOM, and what 3D Slicer
+writes. One is the other after half a turn about z, which on a skull is hard to see. Most formats do
+not say which they hold; 3D Slicer writes `SPACE=RAS` or `SPACE=LPS` in a header or comment, and
+takes a file without it as LPS.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import MeshError
+
+FRAMES = ("RAS", "LPS")
+
+_SPACE = re.compile(r"\bSPACE\s*=\s*(RAS|LPS)\b", re.IGNORECASE)
+
+
+def in_text(text: bytes | str) -> str | None:
+    """The frame that a header or comment names as 3D Slicer does, `SPACE=RAS` or `SPACE=LPS`.
+
+    Raises:
+        MeshError: it names both.
+    """
+    if isinstance(text, bytes):
+        text = text.decode("latin-1")
+    found = {match.upper() for match in _SPACE.findall(text)}
+    if len(found) > 1:
+        raise MeshError("says SPACE=RAS and SPACE=LPS: which of them it is cannot be told")
+    return found.pop() if found else None
+
+
+def tag(frame: str) -> str:
+    """The words that `in_text` and 3D Slicer read a frame from."""
+    return f"SPACE={frame}"
+
+
+def chosen(frame: str | None) -> str | None:
+    """A frame as the user writes it, in capitals; None stays None.
+
+    Raises:
+        MeshError: neither RAS nor LPS.
+    """
+    if frame is None or frame.upper() in FRAMES:
+        return frame and frame.upper()
+    raise MeshError(f"unknown frame {frame!r}: choose one of {', '.join(FRAMES)}")
+
+
+def agreed(said: str | None, found: str | None) -> str | None:
+    """The frame of a file, from what the user says and what the file does; None if neither.
+
+    Raises:
+        MeshError: they contradict each other.
+    """
+    if said is not None and found is not None and said != found:
+        raise MeshError(f"is in {found}, it says so itself, and not in {said}")
+    return said or found
+
+
+def told(frame: str | None) -> str:
+    """A frame in words for the user."""
+    if frame == "RAS":
+        return "RAS (x to the patient's right, y to the front, z up)"
+    if frame == "LPS":
+        return "LPS (x to the patient's left, y to the back, z up)"
+    return "the file does not say whether it is LPS or RAS; 3D Slicer would take it as LPS"
+
+
+def half_turn(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points ``(n, 3)`` of RAS in LPS or the other way about: half a turn about z, exactly."""
+    return points * (-1.0, -1.0, 1.0) + 0.0
