@@ -6,11 +6,12 @@ Everything that comes out of this package is in metres.
 from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
 from meshes.health import Finding, Health, health
-from meshes.load import FORMATS, UNITS, arrays, load
+from meshes.load import FORMATS, arrays, load
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
 from meshes.save import WRITABLE, save
+from meshes.units import UNITS, UnitNeeded
 
 __all__ = [
     "FORMATS",
@@ -26,6 +27,7 @@ __all__ = [
     "Placement",
     "Repaired",
     "UnitGuess",
+    "UnitNeeded",
     "absent",
     "arrays",
     "catalogue",
