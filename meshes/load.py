@@ -16,16 +16,13 @@ from numpy.typing import NDArray
 
 from meshes import frames, gltf, obj, threemf
 from meshes.catalogue import absent, catalogue, first_use
-from meshes.errors import MeshError, UnitGuess
+from meshes.errors import MeshError
 from meshes.shapes import Arrays
+from meshes.units import UNITS, diagonal, settled
 from vf.surface import Surface
-
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-"""Metres in one of each unit."""
 
 FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf")
 SIZE_LIMIT = 500_000_000  # [byte] of a file: some ten million triangles
-SMALLEST, LARGEST = 1e-4, 10.0  # [m] diagonals that a surgical arm could have to do with
 
 
 @dataclass(frozen=True)
@@ -65,12 +62,15 @@ def arrays(
     only beside it.
 
     ``unit`` is "m", "cm", "mm" or "in". ``None``: metres for GLB and glTF, as their standard says,
-    and what a 3MF says; otherwise a guess from the size, told by a :class:`meshes.UnitGuess`
-    warning. The catalogue's meshes know their size, so ``unit`` does not touch them.
+    and what a 3MF says; otherwise millimetres or metres where the size allows only one of them,
+    told by a :class:`meshes.UnitGuess` warning. The catalogue's meshes know their size, so ``unit``
+    does not touch them.
 
     Raises :class:`meshes.MeshError` with a one-line reason: unknown name or unit, missing, empty,
     oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
-    diagonal below 0.1 mm or above 10 m. ``progress`` is called with a few words before each step.
+    diagonal below 0.1 mm or above 10 m, no unit where the size allows both millimetres and metres
+    (:class:`meshes.UnitNeeded`, which has both sizes). ``progress`` is called with a few words
+    before each step.
     """
     return read(name_or_path, unit=unit, progress=progress).arrays
 
@@ -82,7 +82,7 @@ def read(
     frame: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Loaded:
-    """The same as :func:`arrays`, with the unit and the patient frame that the file is in.
+    """The same as :func:`arrays`, with the unit (see `units.settled`) and the patient frame.
 
     ``frame`` is "RAS" or "LPS" where the file does not say it; nothing is turned. The catalogue's
     meshes are in "m" and in no patient's frame.
@@ -113,7 +113,7 @@ def read(
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise MeshError(f"{path}: cannot be read as {kind.upper()} ({reason})") from error
-    unit = _unit(path, known, vertices, unit)
+    unit = settled(str(path), diagonal(vertices), unit, known)
     return Loaded((vertices * UNITS[unit], faces), unit, frame)
 
 
@@ -276,29 +276,3 @@ def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
     if used.all():
         return vertices, faces
     return vertices[used], (np.cumsum(used) - 1)[faces]
-
-
-def _unit(path: Path, known: str | None, vertices: NDArray[np.float64], unit: str | None) -> str:
-    """The file's unit, given or guessed; refuses a mesh of an absurd size."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    unit = unit or known
-    guessed = unit is None
-    if unit is None:
-        # Anatomy and phantoms are some centimetres to two metres large: a diagonal of up to five
-        # makes sense in metres only, a larger one in millimetres.
-        unit = "m" if diagonal <= 5.0 else "mm"
-    size = diagonal * UNITS[unit]
-    if not SMALLEST <= size <= LARGEST:
-        raise MeshError(
-            f"{path}: {size:.3g} m across if its unit is {unit}; from 0.1 mm to 10 m is possible"
-            f" (say unit='…': {', '.join(UNITS)})"
-        )
-    if guessed:
-        warnings.warn(
-            f"{path.name} does not say its unit: with a diagonal of {diagonal:.4g} it is taken to"
-            f" be in {unit} ({size * 1e3:.4g} mm across); say unit='…' ({', '.join(UNITS)}) if not",
-            UnitGuess,
-            stacklevel=4,
-        )
-    return unit

@@ -157,18 +157,6 @@ def test_vertices_without_faces_are_dropped(tmp_path: Path) -> None:
     assert faces.tolist() == [[0, 1, 2]]
 
 
-@pytest.mark.parametrize(
-    ("scale", "guess"), [(1.0, "m"), (1e3, "mm"), (20.0, "m")], ids=["as m", "as mm", "2 m"]
-)
-def test_unit_is_guessed_aloud(tmp_path: Path, scale: float, guess: str) -> None:
-    vertices, faces = meshes.arrays("cube")
-    path = exported(tmp_path, "ply", vertices * scale, faces)
-    with pytest.warns(meshes.UnitGuess, match=rf"taken to be in {guess} .*unit='…'"):
-        back, _ = meshes.arrays(path)
-    factor = 1e-3 if guess == "mm" else 1.0
-    np.testing.assert_allclose(np.ptp(back, axis=0), 0.040 * scale * factor, rtol=1e-6)
-
-
 def test_no_warning_when_nothing_is_guessed(tmp_path: Path) -> None:
     vertices, faces = meshes.arrays("cube")
     with warnings.catch_warnings():
