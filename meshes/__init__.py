@@ -7,7 +7,7 @@ from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
 from meshes.frames import FRAMES
 from meshes.health import Finding, Health, health
-from meshes.load import FORMATS, Loaded, arrays, load, read
+from meshes.load import FORMATS, Loaded, arrays, kind, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
@@ -36,6 +36,7 @@ __all__ = [
     "catalogue",
     "display",
     "health",
+    "kind",
     "load",
     "names",
     "place",
