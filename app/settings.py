@@ -199,7 +199,7 @@ class Options:
     mesh: str = "skull"
     """Catalogue name (a wrong one lists them all), or path of an STL, OBJ, PLY, OFF or GLB file."""
     unit: str | None = None
-    """Unit of a mesh file: m, mm, cm or in. Guessed from its size if not given."""
+    """Unit of a mesh file: m, mm, cm or in; needed where its size allows mm and m."""
     at: Point = None
     """Where the mesh's own origin goes in the arm's base frame, such as 0,-1cm,-12cm; auto:
     straight under the tip's neutral pose, which for the psm is under the remote centre."""

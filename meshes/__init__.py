@@ -7,11 +7,12 @@ from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
 from meshes.frames import FRAMES
 from meshes.health import Finding, Health, health
-from meshes.load import FORMATS, UNITS, Loaded, arrays, load, read
+from meshes.load import FORMATS, Loaded, arrays, kind, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
 from meshes.save import WRITABLE, save
+from meshes.units import UNITS, UnitNeeded
 
 __all__ = [
     "FORMATS",
@@ -29,11 +30,13 @@ __all__ = [
     "Placement",
     "Repaired",
     "UnitGuess",
+    "UnitNeeded",
     "absent",
     "arrays",
     "catalogue",
     "display",
     "health",
+    "kind",
     "load",
     "names",
     "place",

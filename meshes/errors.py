@@ -8,4 +8,4 @@ class MeshError(ValueError):
 
 
 class UnitGuess(UserWarning):
-    """A mesh file says nothing about its unit: the warning tells what was guessed, and why."""
+    """A mesh file says nothing about its unit: the warning tells what is taken for it, and why."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from meshes import frames
 from meshes.errors import MeshError
 from meshes.health import FloatArray, IntArray, checked_mesh
-from meshes.load import UNITS
+from meshes.units import UNITS
 
 WRITABLE = ("stl", "obj", "ply", "off", "glb")
 

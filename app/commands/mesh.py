@@ -41,7 +41,7 @@ class Check:
     mesh: File
     """Path of an STL, OBJ, PLY, OFF, GLB, glTF or 3MF file, or a catalogue name."""
     unit: str | None = None
-    """Unit of the file: m, mm, cm or in. Guessed from its size if not given."""
+    """Unit of the file: m, mm, cm or in; needed where its size allows mm and m."""
     json: bool = False
     """Print the report as JSON, with up to 1000 ids of faces, edges or vertices a finding."""
     examine: int = 50_000
@@ -59,7 +59,7 @@ class Repair:
     out: File
     """File to write: .stl, .obj, .ply, .off, .glb; in the unit of the file that was read."""
     unit: str | None = None
-    """Unit of the file: m, mm, cm or in. Guessed from its size if not given."""
+    """Unit of the file: m, mm, cm or in; needed where its size allows mm and m."""
     tolerance: Radius = None
     """Vertices that near become one; auto is a millionth of the diagonal."""
     flip: bool = False

@@ -56,7 +56,7 @@ class Verify:
     mesh: str = "all"
     """Catalogue name, path of a mesh file, or all: every catalogue mesh up to 20,000 triangles."""
     unit: str | None = None
-    """Unit of a mesh file: m, mm, cm or in. Guessed from its size if not given."""
+    """Unit of a mesh file: m, mm, cm or in; needed where its size allows mm and m."""
     damage: str = "all"
     """Kind of damage done to the mesh first, none, or all: none and every kind in turn."""
     robot: str = "point"

@@ -18,9 +18,9 @@ import pytest
 import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from written import FILES
 
 import meshes
-from meshes.load import FORMATS
 
 MEMORY = 150_000_000  # [byte] that refusing a small file may take
 TIME = 5.0  # [s]
@@ -160,7 +160,7 @@ BAD: dict[str, tuple[str, str | bytes | Callable[[], bytes]]] = {
     "obj: face of nothing": ("m.obj", TRIANGLE + "f\n"),
     "obj: NUL bytes": ("m.obj", b"v 0 0 0\nv \0 0 0\nf 1 2 1\n"),
     "obj: one long line": ("m.obj", "v " + "1" * 1_000_000),
-    "obj: UTF-16": ("m.obj", (TRIANGLE + "f 1 2 3\n").encode("utf-16")),
+    "obj: UTF-16, cut off": ("m.obj", (TRIANGLE + "f 1 2 3\n").encode("utf-16")[:-1]),
     "obj: material path and no mesh": ("m.obj", "mtllib ../../../etc/passwd\nusemtl /etc/passwd\n"),
     "ply: unknown format": ("m.ply", PLY.format("ternary", 3, 1, "uchar")),
     "ply: negative count": ("m.ply", PLY.format("ascii", -3, 1, "uchar") + "0 0 0\n"),
@@ -317,9 +317,9 @@ def test_refused_in_one_line_in_time_and_bounded_memory(
         ("gltf: buffer above the folder", "'../secret.bin', which is not beside it"),
         ("gltf: a link out", "'link.bin', which is not beside it"),
         ("gltf: missing buffer", "'gone.bin', which is missing"),
-        ("gltf: points without data, 10 GB", "claims 6,000,000,000 vertices"),
+        ("gltf: points without data, 10 GB", "places 333,333,333 triangles"),
         ("gltf: Draco", "KHR_draco_mesh_compression): save it without"),
-        ("3mf: bomb", "unpacks to 420 MB"),
+        ("3mf: bomb", "unpack to 420 MB"),
         ("3mf: bodies of bodies of bodies", "places 1,073,741,824 triangles"),
         ("3mf: in a circle", "nested deeper than 32, or in a circle"),
         ("3mf: unknown unit", "unknown unit 'furlong': 3MF has micron"),
@@ -415,27 +415,8 @@ def test_a_lying_directory_does_not_unpack_more_than_it_says(
     reader.refusal(tmp_path / "m.3mf", bytes(data), memory=2_000_000)
 
 
-SOUND: dict[str, bytes] = {
-    "obj": (TRIANGLE + "v 0 0 1\nf 1 2 3\nf 1 4 2\n").encode(),
-    "off": b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
-    "ply": PLY.format("binary_little_endian", 3, 1, "uchar").encode()
-    + NUMBERS + b"\3" + struct.pack("<3i", 0, 1, 2),
-    "stl": stl(1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0) + b"\0\0",
-    "glb": glb({**header(), "buffers": [{"byteLength": len(BUFFER)}]}),
-    "gltf": gltf(),
-    "3mf": packed(model(), "3D/3dmodel.model"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-def test_what_is_fuzzed_is_sound(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / f"m.{kind}"
-    path.write_bytes(SOUND[kind])
-    assert len(meshes.arrays(path, unit="cm")[1]) > 0
-
-
 @given(
-    kind=st.sampled_from(FORMATS),
+    name=st.sampled_from(sorted(FILES)),
     edits=st.lists(
         st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 8), st.binary(max_size=8)),
         min_size=1, max_size=6,
@@ -445,13 +426,14 @@ def test_what_is_fuzzed_is_sound(tmp_path: Path, kind: str) -> None:
     max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_fuzzed_files_give_a_mesh_or_a_line(
-    tmp_path: Path, kind: str, edits: list[tuple[float, int, bytes]]
+    tmp_path: Path, name: str, edits: list[tuple[float, int, bytes]]
 ) -> None:
-    data = bytearray(SOUND[kind])
+    file, sound = FILES[name]
+    data = bytearray(sound)
     for place, drop, insert in edits:
         start = int(place * len(data))
         data[start : start + drop] = insert
-    path = tmp_path / f"m.{kind}"
+    path = tmp_path / file
     path.write_bytes(data)
     reason = ""
     try:

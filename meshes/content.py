@@ -1,0 +1,103 @@
+"""What the readers of the formats hand over, and the limits that all of them keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import MeshError
+from meshes.shapes import Arrays
+
+SIZE_LIMIT = 500_000_000  # [byte] of a file, and of what a packed one holds: ten million triangles
+RATIO = 50  # that packed data may unpack to; meshes written as text pack to some tenth
+UNPACKED = 10_000_000  # [byte] that any file may unpack to
+PLACED = 1_000_000  # triangles that any file may place; a second's work
+
+
+@dataclass(frozen=True)
+class Content:
+    """The bodies of a file, each ``(vertices in the file's unit, faces)``, and what it says."""
+
+    bodies: list[Arrays]
+    unit: str | None = None
+    frame: str | None = None
+    notes: tuple[str, ...] = ()
+    """What the user should know, a sentence each."""
+
+
+def checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
+    """The arrays of a body.
+
+    Raises:
+        MeshError: wrong shapes, a vertex that is not finite, a corner that is no vertex.
+    """
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise MeshError(f"vertices of shape {vertices.shape} instead of (n, 3)")
+    if faces.ndim != 2 or (len(faces) and faces.shape[1] != 3):
+        raise MeshError(f"faces of shape {faces.shape} instead of (m, 3)")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        count = int(bad.sum())
+        are = "1 vertex is" if count == 1 else f"{count} vertices are"
+        raise MeshError(f"{are} not finite, the first is vertex {bad.argmax()}")
+    check_corners(faces, len(vertices))
+    return vertices, faces.reshape(-1, 3)
+
+
+def check_corners(corners: NDArray[np.int64], vertices: int) -> None:
+    """Refuse corners of any shape that are not among so many vertices.
+
+    Raises:
+        MeshError: says which.
+    """
+    if corners.size and (corners.min() < 0 or corners.max() >= vertices):
+        worst = int(corners.min()) if corners.min() < 0 else int(corners.max())
+        raise MeshError(f"a face refers to vertex {worst}, of {vertices} (counted from 0)")
+
+
+def allowed_unpacked(packed: int) -> int:
+    """How many bytes so many packed ones may unpack to."""
+    return min(max(UNPACKED, RATIO * packed), SIZE_LIMIT)
+
+
+def check_unpacked(size: int, packed: int) -> None:
+    """Refuse ``packed`` bytes that unpack to ``size``, before they do.
+
+    Raises:
+        MeshError: more than any mesh needs.
+    """
+    allowed = allowed_unpacked(packed)
+    if size > allowed:
+        raise MeshError(
+            f"{packed:,} bytes unpack to {size / 1e6:,.0f} MB or more,"
+            f" more than the {allowed / 1e6:,.0f} allowed"
+        )
+
+
+def allowed_placed(size: int) -> int:
+    """How many triangles so many bytes may place.
+
+    One takes two bytes at the least; what is more than that are repetitions.
+    """
+    return max(PLACED, size // 2)
+
+
+def check_placed(triangles: int, size: int) -> None:
+    """Refuse a scene of so many triangles out of ``size`` bytes, before it is built.
+
+    Raises:
+        MeshError: more than allowed.
+    """
+    allowed = allowed_placed(size)
+    if triangles > allowed:
+        raise MeshError(
+            f"places {triangles:,} triangles, more than the {allowed:,} allowed of {size:,} bytes"
+        )
+
+
+def cut_off(promised: str, found: str = "") -> MeshError:
+    """The error of a file that holds less than it promises."""
+    less = f"but has {found}" if found else "but ends before"
+    return MeshError(f"it promises {promised}, {less}: cut off or damaged")

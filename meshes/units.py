@@ -1,0 +1,103 @@
+"""Which unit a mesh file is in: said, plain from the size, or to be asked."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import MeshError, UnitGuess
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+"""Metres in one of each unit."""
+
+ASSUMED = ("mm", "m")
+"""What a file that says nothing may be taken to be in, where only one of them is possible."""
+
+SMALLEST, LARGEST = 1e-4, 10.0  # [m] diagonals that a surgical arm could have to do with
+
+
+class UnitNeeded(MeshError):
+    """A mesh file says nothing about its unit, and several are possible: it has to be said.
+
+    Attributes:
+        name: of the file.
+        diagonal: of its bounding box, in the file's unit.
+        sizes: the diagonal [m] in each unit that is possible.
+    """
+
+    def __init__(self, name: str, diagonal: float, sizes: dict[str, float]) -> None:
+        super().__init__(name, diagonal, sizes)
+        self.name, self.diagonal, self.sizes = name, diagonal, sizes
+
+    def __str__(self) -> str:
+        readings = " or ".join(
+            f"{shown(size)} across if in {unit}" for unit, size in self.sizes.items()
+        )
+        ways = " or ".join(f"--unit {unit}" for unit in self.sizes)
+        return (
+            f"{self.name} does not say its unit and may be {readings}: give {ways} "
+            '(in Python unit=…, in a scenario "unit")'
+        )
+
+
+def diagonal(vertices: NDArray[np.float64]) -> float:
+    """Of the bounding box of vertices ``(n, 3)``, in their unit; inf where it overflows."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+
+
+def sizes(across: float, units: Iterable[str] = UNITS) -> dict[str, float]:
+    """The size [m] in each unit in which a mesh of this diagonal is one that can be used."""
+    every = {unit: across * UNITS[unit] for unit in units}
+    return {unit: size for unit, size in every.items() if SMALLEST <= size <= LARGEST}
+
+
+def shown(size: float) -> str:
+    """A size [m] to be read: ``4.95 mm``, ``1.2 m``."""
+    return f"{size:.4g} m" if size >= 1.0 else f"{size * 1e3:.4g} mm"
+
+
+def settled(name: str, across: float, unit: str | None, said: str | None = None) -> str:
+    """The unit of the file ``name`` whose diagonal is ``across``: the only place that decides.
+
+    Args:
+        unit: what the user says; None: nothing.
+        said: what the file or its format's standard says; the user has the last word.
+
+    Raises:
+        UnitNeeded: nobody says, and both millimetres and metres are possible.
+        MeshError: a size below 0.1 mm or above 10 m.
+
+    Where nobody says and only one of the two is possible, it is that one, told by a `UnitGuess`
+    warning.
+    """
+    known = unit or said
+    possible = sizes(across, ASSUMED if known is None else (known,))
+    if len(possible) > 1:
+        raise UnitNeeded(name, across, possible)
+    if not possible:
+        tried = known or ("mm" if across * UNITS["mm"] > LARGEST else "m")
+        raise MeshError(
+            f"{name}: {across * UNITS[tried]:.3g} m across if its unit is {tried}; from 0.1 mm to "
+            f"10 m is possible (say the unit: {', '.join(UNITS)})"
+        )
+    (settled,) = possible
+    if known is None:
+        warnings.warn(
+            f"{name} does not say its unit: with a diagonal of {across:.4g} it is taken to be in "
+            f"{settled} ({shown(possible[settled])} across); say the unit ({', '.join(UNITS)}) "
+            "if it is another",
+            UnitGuess,
+            stacklevel=4,
+        )
+    return settled
+
+
+def choices(across: float, said: str | None = None) -> Mapping[str, str]:
+    """For a person to choose from: unit, and its size in words; what the file says comes first."""
+    found = sizes(across)
+    order = sorted(found, key=lambda unit: unit != said)
+    return {unit: f"{unit}: {shown(found[unit])} across" for unit in order}

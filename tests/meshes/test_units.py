@@ -1,0 +1,125 @@
+"""A file's unit is said, or the only possible one, or has to be said: it is never off by 1000."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import meshes
+from app.__main__ import main
+from app.scenario import read
+from app.scene import build
+from app.settings import Options
+from meshes import units
+
+TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], dtype=float) / np.sqrt(3)
+"""Of diagonal 1."""
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+
+
+def written(path: Path, across: float) -> Path:
+    """A file of this diagonal that says no unit."""
+    corners = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in (TETRAHEDRON * across).tolist())
+    path.write_text(corners + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in FACES.tolist()))
+    return path
+
+
+def usable(size: float) -> bool:
+    """[m]: what any unit is allowed to make of a mesh."""
+    return 1e-4 <= size <= 10.0
+
+
+@given(st.floats(-6.0, 6.0).map(lambda power: 10.0**power))
+def test_no_unit_is_assumed_where_the_other_is_possible_too(across: float) -> None:
+    in_mm, in_m = usable(across * 1e-3), usable(across)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        if in_mm and in_m:
+            with pytest.raises(meshes.UnitNeeded) as asked:
+                units.settled("part.stl", across, None)
+            assert asked.value.sizes == {"mm": across * 1e-3, "m": across}
+        elif in_mm or in_m:
+            assert units.settled("part.stl", across, None) == ("mm" if in_mm else "m")
+            assert [w.category for w in caught] == [meshes.UnitGuess]
+        else:
+            with pytest.raises(meshes.MeshError, match=r"0\.1 mm to 10 m is possible"):
+                units.settled("part.stl", across, None)
+
+
+@given(st.floats(-6.0, 6.0).map(lambda power: 10.0**power), st.sampled_from([*meshes.UNITS]))
+def test_what_is_said_is_not_asked_again(across: float, unit: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for given_, said in ((unit, None), (None, unit), (unit, "in")):
+            if usable(across * meshes.UNITS[unit]):
+                assert units.settled("part.stl", across, given_, said) == unit
+            else:
+                with pytest.raises(meshes.MeshError):
+                    units.settled("part.stl", across, given_, said)
+    for name, words in units.choices(across, unit).items():
+        assert usable(across * meshes.UNITS[name])
+        number, of = re.fullmatch(rf"{name}: (\S+) (mm|m) across", words).groups()  # type: ignore[union-attr]
+        assert float(number) * meshes.UNITS[of] == pytest.approx(
+            across * meshes.UNITS[name], rel=1e-3
+        )
+
+
+@pytest.mark.parametrize("across", [0.11, 3.0, 4.95, 5.05, 9.9])
+def test_siblings_of_one_set_are_never_read_a_thousand_apart(tmp_path: Path, across: float) -> None:
+    path = written(tmp_path / "tip.obj", across)
+    for way in (meshes.load, meshes.arrays):
+        with pytest.raises(meshes.UnitNeeded) as asked:
+            way(path)
+        said = str(asked.value)
+        assert f"{across:.4g} mm" in said
+        assert f"{across:.4g} m " in said or f"{across * 1e3:.4g} mm " in said
+        assert "--unit mm or --unit m" in said
+    assert np.ptp(meshes.arrays(path, unit="mm")[0], axis=0).max() < 0.01
+    again = pickle.loads(pickle.dumps(asked.value))
+    assert (str(again), again.sizes) == (said, asked.value.sizes)
+
+
+def test_what_only_one_unit_can_be_is_told(tmp_path: Path) -> None:
+    for across, unit in ((0.07, "m"), (35.0, "mm"), (250.0, "mm")):
+        path = written(tmp_path / "m.obj", across)
+        with pytest.warns(meshes.UnitGuess, match=rf"taken to be in {unit} .*say the unit"):
+            vertices, _ = meshes.arrays(path)
+        assert np.linalg.norm(np.ptp(vertices, axis=0)) == pytest.approx(
+            across * meshes.UNITS[unit]
+        )
+
+
+def test_commands_ask_for_the_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(written(tmp_path / "tip.obj", 4.95))
+    for words in (
+        ["mesh", "check", path],
+        ["mesh", "repair", path, str(tmp_path / "out.ply")],
+        ["verify", "--mesh", path],
+        ["bench", "meshes", "--mesh", path],
+        ["--mesh", path, "--port", "0"],
+    ):
+        assert main(words) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert "4.95 mm across if in mm or 4.95 m across if in m: give --unit mm or" in said
+    assert not (tmp_path / "out.ply").exists()
+    assert main(["mesh", "check", path, "--unit", "mm"]) == 0
+
+
+def test_a_scenario_says_the_unit_of_its_mesh(tmp_path: Path) -> None:
+    written(tmp_path / "tip.obj", 4.95)
+    file = tmp_path / "s.json"
+    content = {"format": 1, "name": "tip", "about": "A tip.", "mesh": "tip.obj", "robot": "point"}
+    file.write_text(json.dumps(content))
+    with pytest.raises(meshes.UnitNeeded, match='in a scenario "unit"'):
+        build(read(file).applied(Options()), 1)
+    file.write_text(json.dumps({**content, "unit": "mm"}))
+    scene = build(read(file).applied(Options()), 1)
+    assert scene.surface.size < 0.01
