@@ -19,6 +19,7 @@ import robots
 import vf
 from app.autopilot import Script, plan
 from app.engine import Plant, is_free
+from app.outside import shows_fronts_only
 from app.settings import Options
 from meshes.damage import damage
 from robots import Arm
@@ -41,6 +42,7 @@ class Scene:
         planned_path: (k, 3) the planned cut on this mesh, arm base frame [m]; None: there is none.
         vertices_shown, faces_shown: what to draw: the mesh, or a decimated copy of it.
         decimated: whether what is drawn is a decimated copy.
+        fronts_only: whether nobody outside ever sees the back of what is drawn.
         robot: name of the arm.
         arm: an arm for the view's thread alone (the controller has its own).
         notes: what the user should know about this mesh, one sentence each.
@@ -58,6 +60,7 @@ class Scene:
     vertices_shown: FloatArray
     faces_shown: NDArray[np.int64]
     decimated: bool
+    fronts_only: bool
     robot: str
     arm: Arm
     notes: tuple[str, ...]
@@ -126,6 +129,7 @@ def build(
         vertices_shown=_read_only(shown),
         faces_shown=_read_only(faces_shown),
         decimated=decimated,
+        fronts_only=shows_fronts_only(shown, faces_shown),
         robot=arm.name,
         arm=arm,
         notes=tuple(notes),

@@ -233,10 +233,10 @@ class Session:
         """Let the ticks go on. The proxy that counts is the one of this moment."""
         self._order(paused=False)
 
-    def single_step(self) -> None:
-        """Pause, and do exactly one tick."""
+    def single_step(self, ticks: int = 1) -> None:
+        """Pause, and do exactly so many ticks, one after the other at the loop's rate."""
         with self._lock:
-            self._order(paused=True, steps=self._orders.steps + 1)
+            self._order(paused=True, steps=self._orders.steps + ticks)
 
     def reset(self) -> None:
         """Put the tool back to the scene's start, and handle and proxy onto it."""

@@ -1,4 +1,6 @@
-"""`bench view`: how soon the page shows what a drag did, and how often it is brought up to date.
+"""`bench view`: how soon the page shows what a drag did, and how many pictures a second it draws.
+
+In a window as people have one, at its full pixel ratio; the result says what was drawn with.
 
 The browser runs in a process of its own, `-m app.bench.latency URL`, so that driving it takes
 nothing from the interpreter that is being measured. It looks into the page's own messages: those
@@ -20,9 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.settings import View
-from app.bench.watcher import Watcher, answer, browse
+from app.bench.watcher import WINDOW, Watcher, answer, browse
 
-PAUSE = 0.4  # between two drag events: the tool is at rest again by then [s]
+RATIO = 1.0  # pixels of the screen for each of the window's
+# Between two drag events: the tool is at rest again and drawn, also without a graphics card [s].
+PAUSE = 0.8
 SETTLE = 3.0  # after the page has opened and before anything is measured [s]
 SHAFT = 0.88  # where along the gizmo's arrow it is grabbed, as a share of its length
 MOVE = 6.0  # of the mouse along the arrow for each drag event [px]
@@ -51,6 +55,20 @@ _HOOK = """(() => {
         log.sent.push([log.pointer, performance.now()]);
       super.postMessage(data, ...rest);
     }
+  };
+})()"""
+
+
+# What draws, how large, and how often so far: where it is slow, viser draws fewer pixels.
+_PICTURE = """(() => {
+  const canvas = document.querySelector('canvas[data-engine]'), gl = canvas.getContext('webgl2');
+  const named = gl.getExtension('WEBGL_debug_renderer_info');
+  return {
+    canvas: [canvas.width, canvas.height],
+    css: [canvas.clientWidth, canvas.clientHeight],
+    renderer: gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER),
+    smoothed: gl.getContextAttributes().antialias,
+    pictures: window.__viserTestpoints.rendererInfo.render.frame,
   };
 })()"""
 
@@ -108,10 +126,10 @@ def run(
         session.set_autopilot(True)
         time.sleep(SETTLE)
         first, began = tap.count, time.perf_counter()
-        before = len(dragger.ask("log")["moved"])
+        before, seen = len(dragger.ask("log")["moved"]), dragger.ask("picture")
         time.sleep(options.seconds)
-        after = len(dragger.ask("log")["moved"])
         elapsed = time.perf_counter() - began
+        after, picture = len(dragger.ask("log")["moved"]), dragger.ask("picture")
         flying = summary(tap.since(first), elapsed, options.rate)
         advance(1.0)
         of = (50.0, 90.0)
@@ -126,6 +144,8 @@ def run(
             "input to moved tool [ms]": percentiles(delays[:, :2].sum(axis=1), of),
             "input to picture [ms]": percentiles(delays[:, 2], of),
             "updates/s": (after - before) / elapsed,
+            "pictures/s": (picture["pictures"] - seen["pictures"]) / elapsed,
+            "window": {**WINDOW, "ratio": RATIO, **picture},
             "loop while dragging": dragging,
             "loop on autopilot": flying,
         }
@@ -166,7 +186,18 @@ def tell(result: dict[str, Any], console: Any) -> None:
     ):
         median, p90 = result[name]
         console.print(f"  {name:28} median {median:6.1f}   p90 {p90:6.1f}")
-    console.print(f"  of {result['drags']} drag events; updates/s {result['updates/s']:.1f}")
+    console.print(
+        f"  of {result['drags']} drag events; {result['updates/s']:.1f} updates/s, "
+        f"{result['pictures/s']:.1f} pictures/s"
+    )
+    window = result["window"]
+    across, down = window["canvas"]
+    smoothed = "smoothed" if window["smoothed"] else "not smoothed"
+    console.print(
+        f"  window {window['width']} × {window['height']} at {window['ratio']:g}; the scene's "
+        f"{window['css'][0]} × {window['css'][1]} drawn\n"
+        f"  with {across} × {down} pixels, edges {smoothed}, by\n  {window['renderer']}"
+    )
     for name in ("loop while dragging", "loop on autopilot"):
         row = result[name]
         console.print(
@@ -204,8 +235,7 @@ def _matrix(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _attend(browser: Any, url: str) -> None:
-    # A software renderer cannot fill a screen's pixels in time; that is not ours to judge.
-    tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=0.4)
+    tab = browser.new_page(viewport=WINDOW, device_scale_factor=RATIO)
     tab.add_init_script(_HOOK)
     tab.goto(url)
     tab.wait_for_selector("canvas", timeout=60_000)
@@ -215,6 +245,8 @@ def _attend(browser: Any, url: str) -> None:
         order = json.loads(line)
         if order["do"] == "box":
             answer(**tab.locator("canvas").first.bounding_box())
+        elif order["do"] == "picture":
+            answer(**tab.evaluate(_PICTURE))
         elif order["do"] == "drag":
             _drag(tab, np.array(order["at"]), np.array(order["by"]), order["count"])
             answer()

@@ -15,6 +15,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
+WINDOW = {"width": 1440, "height": 900}  # as people have one, at one pixel for each [px]
+
 # Software rendering; the rest keeps a container and its network out of the way.
 ARGUMENTS = (
     "--no-sandbox",
@@ -163,7 +165,7 @@ def _watch(browser: Any, url: str) -> None:
 
 
 def _open(browser: Any, url: str) -> Any:
-    page = browser.new_context(viewport={"width": 1200, "height": 800}).new_page()
+    page = browser.new_context(viewport=WINDOW).new_page()
     page.goto(url)
     page.wait_for_selector("canvas", timeout=60_000)
     page.evaluate(_COUNT)

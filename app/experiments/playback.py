@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import meshes
 from app.experiments import protocol, site
 from app.experiments.protocol import Recorded, Trial
+from app.outside import shows_fronts_only
 from app.scene import Scene
 from app.settings import Options
 
@@ -68,6 +69,7 @@ def scene(recorded: Recorded) -> Scene:
         vertices_shown=shown,
         faces_shown=faces_shown,
         decimated=decimated,
+        fronts_only=shows_fronts_only(shown, faces_shown),
         robot=place.arm.name,
         arm=place.arm.copy(),
         notes=(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import viser
@@ -15,18 +15,33 @@ from app.view.units import to_view
 FloatArray = NDArray[np.float64]
 
 FIELD_OF_VIEW = np.deg2rad(40.0)  # vertical [rad]
+# viser has no orthographic camera. A lens this narrow, 20 times as far away, comes near one: what
+# is half a picture's height nearer than the middle is drawn 1.8 % larger.
+PARALLEL = np.deg2rad(2.0)
 NEAREST = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
 FARTHEST = 2000.0  # 20 m
 # From the front right and above, the side of the mesh that the arms' bodies do not hide.
 DIRECTION = np.array([0.55, 0.62, 0.56]) / np.linalg.norm([0.55, 0.62, 0.56])
 
 
+# Where axis views look from, and what is up in them. The page's first view is from +x, +y and +z.
+AXES: dict[str, tuple[FloatArray, FloatArray]] = {
+    "Side": (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])),
+    "Front": (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])),
+    "Top": (np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])),
+}
+
+
 @dataclass(frozen=True)
 class View:
-    """Eye and what it looks at, (3,) each, arm base frame [m]; up is +z."""
+    """Eye, what it looks at and what is up, (3,) each, arm base frame [m].
+
+    The eye's distance is for a lens of `FIELD_OF_VIEW`.
+    """
 
     eye: FloatArray
     look_at: FloatArray
+    up: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
 
 def site_view(scene: Scene, p_tip: FloatArray) -> View:
@@ -39,6 +54,14 @@ def site_half_height(scene: Scene) -> float:
     """Half of what `site_view` shows from top to bottom [m]."""
     half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
     return max(half_height, 2.0 * _girth(scene))
+
+
+def axis_view(scene: Scene, p_tip: FloatArray, name: str) -> View:
+    """As much as `site_view` shows, along an axis of the arm's base frame: a name of `AXES`."""
+    direction, up = AXES[name]
+    view = site_view(scene, p_tip)
+    distance = float(np.linalg.norm(view.eye - view.look_at))
+    return View(view.look_at + distance * direction, view.look_at, up)
 
 
 def anatomy_view(scene: Scene) -> View:
@@ -77,6 +100,26 @@ def tool_view(step: vf.Step) -> View:
     # Thirty-five degrees above the surface: lower, and a curved one hides the tip.
     direction = 0.57 * normal + 0.82 * along / np.linalg.norm(along)
     return View(p_tip + np.linalg.norm(view.eye - p_tip) * direction, p_tip)
+
+
+def named_view(name: str, scene: Scene, step: vf.Step | None) -> View:
+    """The view of that name, of the tool where it is; an unknown one is the site's.
+
+    Args:
+        step: what the tool did last; None: it is at its start.
+    """
+    if name == "Arm":
+        return arm_view(scene, scene.start)
+    if name == "Anatomy":
+        return anatomy_view(scene)
+    p_tip = np.array((scene.T_base_start if step is None else step.tip).translation)
+    if name in AXES:
+        return axis_view(scene, p_tip, name)
+    if name in ("Tool", "Follow") and step is not None:
+        return tool_view(step)
+    if name == "Surgeon" and step is not None:
+        return surgeon_view(step)
+    return site_view(scene, p_tip)
 
 
 def surgeon_view(step: vf.Step) -> View:
@@ -146,11 +189,46 @@ def compose_first_sight(server: viser.ViserServer, view: View) -> None:
 
 
 def move(client: viser.ClientHandle, view: View) -> None:
-    """Put one client's camera there."""
+    """Put one client's camera there; its lens stays what it is."""
+    away = _same_size(to_view(view.eye - view.look_at), FIELD_OF_VIEW, client.camera.fov)
     with client.atomic():
-        client.camera.up_direction = np.array([0.0, 0.0, 1.0])
-        client.camera.position = to_view(view.eye)
+        client.camera.up_direction = view.up
+        client.camera.position = to_view(view.look_at) + away
         client.camera.look_at = to_view(view.look_at)
+
+
+def set_lens(client: viser.ClientHandle, fov: float) -> None:
+    """Give one client another field of view [rad]; what it looks at keeps its size."""
+    camera = client.camera
+    look_at = np.array(camera.look_at)
+    away = _same_size(camera.position - look_at, camera.fov, fov)
+    with client.atomic():
+        camera.fov = fov
+        camera.position = look_at + away
+        camera.look_at = look_at
+    keep_depth(client)
+
+
+def is_parallel(client: viser.ClientHandle) -> bool:
+    """Whether a client looks through the lens of `PARALLEL`."""
+    return bool(client.camera.fov < 0.5 * (PARALLEL + FIELD_OF_VIEW))
+
+
+def keep_depth(client: viser.ClientHandle) -> None:
+    """Have a far camera tell near from far: its clipping planes go along with its distance."""
+    camera = client.camera
+    near, far = NEAREST, FARTHEST
+    if is_parallel(client):
+        distance = float(np.linalg.norm(camera.position - camera.look_at))
+        near, far = 0.5 * distance, distance + FARTHEST
+    # What changes little is not worth a message.
+    if not 0.8 < camera.near / near < 1.25:
+        camera.near, camera.far = near, far
+
+
+def _same_size(away: FloatArray, before: float, after: float) -> FloatArray:
+    """From what is looked at to the eye, so that another field of view [rad] shows as much."""
+    return away * np.tan(0.5 * before) / np.tan(0.5 * after)
 
 
 def _framing(centre: FloatArray, half_height: float) -> View:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from app.scene import DEFAULT_WIDTH, Scene, corridor
 from app.settings import RANGES
 from app.view import palette
 from app.view.feature import Stage
+from app.view.fields import NumberField, show
 from app.view.units import to_buffer, to_view
 
 HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
@@ -35,9 +35,10 @@ class CorridorControl:
             self._width = stage.server.gui.add_number(
                 "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low * 1e3, max=high * 1e3, step=0.1
             )
-        self._controls: tuple[Any, Any] = (self._on, self._width)
-        for control in self._controls:
-            control.on_update(self._updated)
+        self._field = NumberField(
+            self._width, (low * 1e3, high * 1e3), self._hand, self._tell, self._take, self._in_force
+        )
+        self._on.on_update(self._switched)
 
     def set_scene(self, scene: Scene) -> None:
         self._folder.visible = scene.planned_path is not None
@@ -73,21 +74,27 @@ class CorridorControl:
             self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
 
     def read_out(self, telemetry: Telemetry) -> None:
-        width, (switch, number) = self._session.options.corridor, self._controls
-        if switch.value != (width is not None):
-            switch.value = width is not None
-        if width is not None and not math.isclose(number.value, width * 1e3, rel_tol=1e-6):
-            number.value = float(f"{width * 1e3:.6g}")
+        show(self._on, self._session.options.corridor is not None)
+        self._field.sync()
 
-    async def _updated(self, event: viser.GuiEvent[Any]) -> None:
+    def _in_force(self) -> float | None:
+        width = self._session.options.corridor
+        return None if width is None else width * 1e3
+
+    async def _switched(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:  # None: we set it ourselves
-            self._hand.submit(self._take, event.client, self._on.value, self._width.value)
+            self._hand.submit(self._switch, event.client, bool(event.target.value))
 
-    def _take(self, client: viser.ClientHandle, on: object, width: object) -> None:
+    def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         try:
-            self._session.set_corridor(float(width) * 1e-3 if on else None)  # type: ignore[arg-type]
-        except (ValueError, TypeError, OverflowError) as error:
+            self._session.set_corridor(float(self._width.value) * 1e-3 if on else None)
+        except ValueError as error:
             self._tell(client, f"{error}")
+
+    def _take(self, width: float) -> None:
+        """A width [mm]; without a corridor it is for later."""
+        if self._session.options.corridor is not None:
+            self._session.set_corridor(width * 1e-3)
 
     def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
         visible = corners is not None

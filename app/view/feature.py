@@ -12,6 +12,7 @@ from app.messages import Telemetry
 from app.scenario import Scenario
 from app.scene import Scene
 from app.session import Session
+from app.view.escape import Escape
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand, Tell
 from app.view.proxy import Proxy
@@ -32,6 +33,7 @@ class Stage:
         fixture: the planes at the tool, which a part may ask to step back.
         proxy: the operator's gizmo, likewise.
         look: moves one client's camera to a preset, by the name of its button.
+        escape: what the Escape key closes; dialogs of a part say there that they are open.
         screen: what is shown; a part may put something else there than the session.
         scenario: what the page was started with, if anything.
     """
@@ -44,6 +46,7 @@ class Stage:
     fixture: FixtureDrawing
     proxy: Proxy
     look: Callable[[viser.ClientHandle, str], None]
+    escape: Escape
     screen: Screen
     scenario: Scenario | None = None
 

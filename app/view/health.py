@@ -162,7 +162,8 @@ def report(found: Health) -> str:
         ("examined", "all faces" if found.exact else f"{found.examined:,} faces"),
     )
     rows = "".join(
-        f"<tr><td style='color:#555;padding-right:1em'>{name}</td><td>{html.escape(text)}</td></tr>"
+        f"<tr><td style='color:var(--vf-soft);padding-right:1em'>{name}</td>"
+        f"<td>{html.escape(text)}</td></tr>"
         for name, text in facts
     )
     verdict = (
@@ -172,7 +173,7 @@ def report(found: Health) -> str:
     )
     findings = "".join(_item(finding) for finding in found.findings)
     return (
-        "<div style='margin:0 .75em .5em;font-size:12px;line-height:1.35;color:#222'>"
+        "<div style='margin:0 .75em .5em;font-size:12px;line-height:1.35;color:var(--vf-ink)'>"
         f"<table style='border-collapse:collapse;margin-bottom:4px'>{rows}</table>"
         f"{verdict}{findings}</div>"
     )
@@ -183,8 +184,9 @@ def _item(finding: Finding) -> str:
     return (
         "<div style='display:flex;gap:7px;margin-top:5px'>"
         "<span style='flex:none;width:11px;height:11px;margin-top:3px;border-radius:2px;"
-        f"border:1px solid #888;background:{palette.css(color(finding))}'></span>"
-        f"<span>{html.escape(finding.text + more)}<br><span style='color:#666;font-size:11px'>"
+        f"border:1px solid var(--vf-faint);background:{palette.css(color(finding))}'></span>"
+        f"<span>{html.escape(finding.text + more)}<br>"
+        "<span style='color:var(--vf-faint);font-size:11px'>"
         f"{html.escape(finding.meaning)}</span></span></div>"
     )
 

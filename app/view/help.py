@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, Final
 
 import viser
 
+from app.view.escape import Escape
 from app.view.hand import Hand
 
 KEY: Final = "H"
@@ -23,22 +25,25 @@ LINES = (
     "proxy to tool.",
     "<kbd>J</kbd> <kbd>L</kbd> <kbd>I</kbd> <kbd>K</kbd> <kbd>U</kbd> <kbd>O</kbd> nudge the "
     "proxy left, right, away, near, down, up by 0.1 mm; with <kbd>Shift</kbd> by 1 mm.",
-    "<b>Camera</b>: drag with the left button to turn, right to shift, wheel to zoom; "
-    "<kbd>W</kbd> <kbd>A</kbd> <kbd>S</kbd> <kbd>D</kbd> <kbd>Q</kbd> <kbd>E</kbd> and arrows "
-    "fly. <kbd>F</kbd> follows the tool.",
+    "<kbd>P</kbd> pauses and runs, <kbd>N</kbd> does one tick (<kbd>Shift</kbd> 10, "
+    "<kbd>Alt</kbd> 100), <kbd>R</kbd> resets, <kbd>1</kbd>–<kbd>4</kbd> choose the rule.",
+    "<b>Camera</b>: left button turns, right shifts, wheel zooms; <kbd>W</kbd> <kbd>A</kbd> "
+    "<kbd>S</kbd> <kbd>D</kbd> <kbd>Q</kbd> <kbd>E</kbd> fly; <kbd>5</kbd>–<kbd>0</kbd>, "
+    "<kbd>T</kbd>, <kbd>V</kbd> are views, <kbd>F</kbd> follows the tool, <kbd>X</kbd> cuts the "
+    "anatomy open at its tip.",
     "<b>Rule</b>: <i>certified</i> holds on any mesh, <i>paper</i> has Conditions 1–3, "
     "<i>all</i> takes every face, <i>off</i> lets the tool through the bone.",
-    "<b>Scene</b> has other meshes and arms; <b>Autopilot</b> shows all this without your hand.",
-    "Lost? <b>Recall</b> puts the proxy back onto the tool, <b>Reset</b> both to the start.",
+    "Lost? <b>Recall</b> puts the proxy back onto the tool, <b>Reset</b> both to the start. "
+    "<kbd>Ctrl</kbd> <kbd>K</kbd> lists all commands and their keys.",
 )
 
 
 class Help:
     """At most one overlay on each client's page."""
 
-    def __init__(self, server: viser.ViserServer, hand: Hand, order: float) -> None:
+    def __init__(self, server: viser.ViserServer, hand: Hand, escape: Escape, order: float) -> None:
         """`order`: where in the panel the button stands."""
-        self._open: dict[int, Any] = {}  # by client; the hand's worker only
+        self._open: dict[int, tuple[Any, Any]] = {}  # modal and what closes it, by client
         button = server.gui.add_button(
             "What am I looking at?",
             icon=viser.Icon.HELP_CIRCLE,
@@ -61,23 +66,27 @@ class Help:
                 hand.submit(self._toggle, event.client)
 
         self._hand = hand
+        self._escape = escape
 
     def _toggle(self, client: viser.ClientHandle) -> None:
         if client.client_id in self._open:
             self._close(client.client_id)
             return
         modal = client.gui.add_modal("The virtual-fixture sandbox in ten lines")
-        self._open[client.client_id] = modal
+        shut = functools.partial(self._close, client.client_id)
+        self._open[client.client_id] = modal, shut
+        self._escape.opened(client.client_id, shut)
         with modal:
             items = "".join(f"<li>{line}</li>" for line in LINES)
             client.gui.add_html(f"<ol class='vf-help'>{items}</ol>")
-            close = client.gui.add_button("Close")
+            close = client.gui.add_button("Close", hint="Escape closes it too.")
 
         @close.on_click
         async def _closed(_event: viser.GuiEvent[Any]) -> None:
-            self._hand.submit(self._close, client.client_id)
+            self._hand.submit(shut)
 
     def _close(self, client_id: int) -> None:
-        modal = self._open.pop(client_id, None)
+        modal, shut = self._open.pop(client_id, (None, None))
         if modal is not None:
+            self._escape.closed(client_id, shut)
             modal.close()

@@ -1,7 +1,11 @@
-"""Nudging the proxy with keys that viser's camera does not use."""
+"""Everything that has a key. viser lists all of it in its palette too (Ctrl+K).
+
+Taken already: W A S D Q E and the arrows fly viser's camera.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -9,17 +13,19 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+import vf
 from app.session import Session
 from app.view.hand import Hand, Tell
 
 FloatArray = NDArray[np.float64]
+Order = Callable[[viser.ClientHandle], object]  # what a client asks for
 
 FINE = 1e-4  # [m] of the handle for each press
 COARSE = 1e-3  # with Shift [m]
 
 # Under the right hand what W A S D Q E are under the left one, which fly the camera. Directions as
 # (right, away, up), seen by the one who presses.
-KEYS: dict[str, tuple[str, tuple[float, float, float]]] = {
+NUDGES: dict[str, tuple[str, tuple[float, float, float]]] = {
     "J": ("left", (-1.0, 0.0, 0.0)),
     "L": ("right", (1.0, 0.0, 0.0)),
     "I": ("away", (0.0, 1.0, 0.0)),
@@ -27,31 +33,59 @@ KEYS: dict[str, tuple[str, tuple[float, float, float]]] = {
     "U": ("down", (0.0, 0.0, -1.0)),
     "O": ("up", (0.0, 0.0, 1.0)),
 }
+# How many ticks, by what is held with the key N.
+STEPS: dict[str | None, int] = {None: 1, "shift": 10, "alt": 100}
 
 
 class Keys:
-    """Twelve commands: six directions, fine and coarse. Also found in the palette (Ctrl+K)."""
+    """The commands. What a key does comes after everything that was done before it."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, hand: Hand, tell: Tell) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        session: Session,
+        hand: Hand,
+        tell: Tell,
+        views: dict[str, tuple[str, Order]],
+    ) -> None:
+        """`views`, by key: what the palette calls an order about the picture, and the order."""
+        self._gui = server.gui
         self._session = session
         self._hand = hand
         self._tell = tell
-        for key, (word, direction) in KEYS.items():
-            for length in (FINE, COARSE):
-                command = server.gui.add_command(
+        for key, (word, direction) in NUDGES.items():
+            for length, held in ((FINE, None), (COARSE, "shift")):
+                self._add(
                     f"Nudge the proxy {word} by {length * 1e3:g} mm",
-                    hotkey=key,  # type: ignore[arg-type]
-                    modifier="shift" if length == COARSE else None,
+                    key,
+                    partial(self._nudge, np.array(direction), length),
+                    held,
                 )
-                command.on_trigger(partial(self._pressed, direction, length))
+        self._add("Loop: pause, or run", "P", lambda _client: self._pause_or_run())
+        for held, ticks in STEPS.items():
+            label = f"Loop: pause, and do {ticks} tick{'s' if ticks > 1 else ''}"
+            self._add(label, "N", partial(self._step, ticks), held)
+        self._add("Reset tool and proxy", "R", lambda _client: session.reset())
+        self._add("Recall the proxy to the tool", "C", lambda _client: session.recall())
+        self._add("Autopilot: on, or off", "G", lambda _client: self._fly())
+        for number, rule in enumerate(vf.RULES, 1):
+            self._add(f"Rule: {rule}", str(number), partial(self._rule, rule))
+        for key, (label, order) in views.items():
+            self._add(label, key, order)
 
-    async def _pressed(
-        self, direction: tuple[float, float, float], length: float, event: Any
-    ) -> None:
-        if event.client is not None:
-            self._hand.submit(self._nudge, event.client, np.array(direction), length)
+    def _add(self, label: str, key: str, order: Order, held: str | None = None) -> None:
+        command = self._gui.add_command(
+            label,
+            hotkey=key,  # type: ignore[arg-type]
+            modifier=held,  # type: ignore[arg-type]
+        )
 
-    def _nudge(self, client: viser.ClientHandle, direction: FloatArray, length: float) -> None:
+        @command.on_trigger
+        async def _pressed(event: Any) -> None:
+            if event.client is not None:
+                self._hand.submit(order, event.client)
+
+    def _nudge(self, direction: FloatArray, length: float, client: viser.ClientHandle) -> None:
         if self._hand.owner is not None:
             if self._hand.owner != client.client_id:
                 self._tell(client, f"{self._hand.name_of_owner} is dragging the proxy: wait.")
@@ -61,6 +95,21 @@ class Keys:
         except ValueError as error:
             self._tell(client, f"Not nudged: {error}.")
         self._hand.moved.set()
+
+    def _pause_or_run(self) -> None:
+        if self._session.latest().paused:
+            self._session.resume()
+        else:
+            self._session.pause()
+
+    def _step(self, ticks: int, _client: viser.ClientHandle) -> None:
+        self._session.single_step(ticks)
+
+    def _fly(self) -> None:
+        self._session.set_autopilot(not self._session.latest().autopilot)
+
+    def _rule(self, rule: str, _client: viser.ClientHandle) -> None:
+        self._session.set_rule(rule)
 
 
 def seen_from(wxyz: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import html
 import threading
 import warnings
@@ -19,7 +20,7 @@ from app.view import health, palette
 from app.view.feature import Stage
 from app.view.uploads import Uploads
 
-_STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:#333"
+_STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"
 GUESS = "guess"
 OWN_UNIT = ("glb", "gltf", "3mf")  # formats that say their unit
 
@@ -34,6 +35,7 @@ class MeshTab:
     def __init__(self, stage: Stage) -> None:
         self._session = stage.session
         self._tell = stage.tell
+        self._escape = stage.escape
         self._drawing = health.HealthDrawing(stage.server.scene)
         self._busy = threading.Lock()
         self._scene: Scene | None = None  # what is drawn
@@ -121,20 +123,24 @@ class MeshTab:
                 initial_value=meshes.UPS[0],
                 hint="The mesh's own axis that is turned upwards.",
             )
-            cancel = client.gui.add_button("Cancel")
+            cancel = client.gui.add_button("Cancel", hint="Escape does the same.")
+        shut = functools.partial(_close, dialog.close)
+        self._escape.opened(client.client_id, shut)
 
         @units.on_click
         def _chosen(event: viser.GuiEvent[Any]) -> None:
             unit = str(event.target.value)
             named, facing = unit if unit in meshes.UNITS else None, str(up.value)
-            _close(dialog.close)
+            self._escape.closed(client.client_id, shut)
+            shut()
             self._work(
                 client, lambda: self._change(mesh=str(path), unit=named, up=facing), path.name
             )
 
         @cancel.on_click
         def _cancelled(_event: viser.GuiEvent[Any]) -> None:
-            _close(dialog.close)
+            self._escape.closed(client.client_id, shut)
+            shut()
 
     def _work(
         self, client: viser.ClientHandle | None, job: Callable[[], None], about: str = ""
@@ -174,7 +180,7 @@ class MeshTab:
     def _forget(self) -> None:
         self._examined = -1
         self._report.content = (
-            f"<div style='{_STYLE};color:#666'>Not examined yet: press Examine.</div>"
+            f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press Examine.</div>"
         )
         self._drawing.set(None)
         self._offer()
@@ -191,11 +197,9 @@ class MeshTab:
         self._say(f"⏳ {text} …", palette.BLUE)
 
     def _say(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
-        content = (
-            f"<div style='{_STYLE};color:{palette.css(color)}'>{html.escape(text)}</div>"
-            if text
-            else ""
-        )
+        # As high with text as without: what comes and goes moves no button from under the mouse.
+        style = f"{_STYLE};height:2.7em;overflow-y:auto;color:{palette.css(color)}"
+        content = f"<div style='{style}'>{html.escape(text)}</div>"
         if self._state.content != content:
             self._state.content = content
 

@@ -21,11 +21,12 @@ from app.player import Moment
 from app.scenario import Scenario
 from app.scene import Scene
 from app.session import Session
-from app.view import camera, guard, readouts, who
+from app.view import camera, guard, readouts, style, who
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
 from app.view.corridor import CorridorControl
 from app.view.depth import signed_distance
+from app.view.escape import Escape
 from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
@@ -38,8 +39,10 @@ from app.view.recorder import RecordTab
 from app.view.ruler import Rulers
 from app.view.scenarios import ScenarioChoice
 from app.view.screen import Screen
+from app.view.section import Section
 from app.view.signals import Signals
 from app.view.tool import Tool
+from app.view.views import Views
 
 log = logging.getLogger(__name__)
 
@@ -94,12 +97,7 @@ class Page:
         with _quiet_console():
             self._server = guard.serve(host, port, self._token, label="vf-sandbox", verbose=False)
         server, api = self._server, self._server.scene
-        server.gui.configure_theme(
-            control_width="medium",
-            show_logo=False,
-            show_share_button=False,
-            brand_color=(0, 114, 178),
-        )
+        style.colour(server.gui, dark=False)
         _light(api)
         self._screen = Screen(session)
         self._scene_version = -1
@@ -111,9 +109,11 @@ class Page:
         self._proxy = Proxy(api, session.handle)
         self._hand = Hand(session, server, self._proxy, self._tell)
         self._following = camera.Following()
-        self._panel = Panel(server, session, self._hand, self._tell, self._look, self._layers())
+        self._escape = Escape(server, self._hand)
+        self._section = Section(self._anatomy)
+        self._panel = Panel(server, session, self._hand, self._tell, self._escape, self._add_views)
         self._who = who.Who(server, WHO)
-        Keys(server, session, self._hand, self._tell)
+        Keys(server, session, self._hand, self._tell, self._views.commands())
         self._readouts = Readouts(server)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(345)
@@ -128,6 +128,7 @@ class Page:
             self._fixture,
             self._proxy,
             self._look,
+            self._escape,
             self._screen,
             scenario,
         )
@@ -260,6 +261,9 @@ class Page:
             handle = self._handle(telemetry) if live else None
             self._proxy.update(handle, telemetry.target, tip.translation, holder)
             self._following.update(clients, np.array(tip.translation))
+            self._section.update(scene, clients, np.array(tip.translation))
+            for client in clients.values():
+                camera.keep_depth(client)
             for feature in self._features:
                 feature.frame(telemetry)
 
@@ -321,23 +325,12 @@ class Page:
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         """Move one client's camera to a preset; "Follow" also lets it go along, or stop that."""
         shown = self._shown
-        scene, step = shown.scene, shown.telemetry.step
+        step = shown.telemetry.step
         followed = client.client_id in self._following.clients
         self._following.stop(client.client_id)
         if name == "Follow" and followed:
             return
-        if name == "Arm":
-            view = camera.arm_view(scene, scene.start)
-        elif name == "Anatomy":
-            view = camera.anatomy_view(scene)
-        elif name in ("Tool", "Follow") and step is not None:
-            view = camera.tool_view(step)
-        elif name == "Surgeon" and step is not None:
-            view = camera.surgeon_view(step)
-        else:
-            tip = scene.T_base_start if step is None else step.tip
-            view = camera.site_view(scene, np.array(tip.translation))
-        camera.move(client, view)
+        camera.move(client, camera.named_view(name, shown.scene, step))
         if name == "Follow" and step is not None:
             self._following.start(client.client_id, np.array(step.tip.translation))
             self._tell(client, "The camera follows the tool. Follow again, or F, lets it stand.")
@@ -346,6 +339,11 @@ class Page:
         """A notification on one client's page."""
         if client is not None and client.client_id in self._server.get_clients():
             client.add_notification("vf-sandbox", text, color="orange", auto_close_seconds=6.0)
+
+    def _add_views(self) -> None:
+        self._views = Views(
+            self._server, self._hand, self._look, self._section.toggle, self._layers()
+        )
 
     def _layers(self) -> dict[str, tuple[bool, Callable[[bool], None]]]:
         """The layer switches, by their names in the panel, and whether they start switched on."""

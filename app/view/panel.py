@@ -7,7 +7,8 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from functools import partial
+from typing import Any
 
 import viser
 
@@ -17,8 +18,11 @@ import vf
 from app.session import Session
 from app.settings import MESH, RANGES
 from app.view import palette, readouts, style
+from app.view.escape import Escape
+from app.view.fields import NumberField, show
 from app.view.hand import Hand, Tell
 from app.view.help import Help
+from app.view.keys import STEPS
 
 RADII: dict[str, float | None] = {
     "auto": None,
@@ -29,20 +33,15 @@ RADII: dict[str, float | None] = {
 }
 CUSTOM = "other"
 
-Look = Callable[[viser.ClientHandle, str], None]
-VIEWS = ("Arm", "Anatomy", "Site")
-CLOSE_UPS = ("Tool", "Follow", "Surgeon")
-FOLLOW_KEY: Final = "F"
-
 # Places of the first lines of the panel; everything else comes behind, in the order it is made.
 _TITLE_LINE, WHO, _BANNER_LINE, _HELP_LINE = -4.0, -3.0, -2.0, -1.0
 
 _TITLE = (
     "<div class='vf-title' style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;"
-    "color:#333'>Drag the gizmo (the proxy) into the bone: the tool follows until the fixture’s "
-    "planes stop it.</div>"
+    "color:var(--vf-ink)'>Drag the gizmo (the proxy) into the bone: the tool follows until the "
+    "fixture’s planes stop it.</div>"
 )
-_NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:#666"
+_NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:var(--vf-faint)"
 
 
 class Panel:
@@ -54,26 +53,27 @@ class Panel:
         session: Session,
         hand: Hand,
         tell: Tell,
-        look: Look,
-        layers: dict[str, tuple[bool, Callable[[bool], None]]],
+        escape: Escape,
+        views: Callable[[], object],
     ) -> None:
+        """`views` adds the folder of views where it belongs."""
         self._gui = server.gui
         self._server = server
         self._session = session
         self._hand = hand
         self._tell = tell
-        self._look = look
+        self._fields: list[NumberField] = []
         self._building = threading.Lock()
         self._note: str | None = None
         self._files: dict[str, dict[str, Any]] = {}  # a file's name: how it was loaded
         self._autopilot_asked = 0.0  # monotonic time [s]
         self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
         self._banner = self._gui.add_html("", order=_BANNER_LINE)
-        Help(server, hand, _HELP_LINE)
+        Help(server, hand, escape, _HELP_LINE)
         self._drive_controls()
         self._fixture_controls()
         self._scene_controls()
-        self._view_controls(layers)
+        views()
         self._teleop_controls()
         self.sync()
 
@@ -84,21 +84,16 @@ class Panel:
     def sync(self) -> None:
         """Show the session's values in every control that shows another one."""
         options, telemetry = self._session.options, self._session.latest()
-        _show(self._rule, options.rule)
-        self._rule_help.content = _note(palette.RULE_HELP[options.rule])
-        _show(self._radius_preset, _preset(options.radius))
-        if options.radius is not None:
-            _show(self._radius, options.radius * 1e3)
+        show(self._rule, options.rule)
+        self._rule_help.content = _note(palette.RULE_HELP[options.rule], lines=2)
+        show(self._radius_preset, _preset(options.radius))
         self._radius.disabled = options.radius is None
-        _show(self._tip_radius, options.tip_radius * 1e3)
-        _show(self._standoff, options.standoff * 1e6)
-        _show(self._scale, options.scale)
-        _show(self._gain, options.force_gain)
+        for field in self._fields:
+            field.sync()
         if time.monotonic() > self._autopilot_asked + 0.5:  # else the loop may not have seen it
-            _show(self._autopilot, telemetry.autopilot)
-        _show(self._clutch, self._session.clutched)
-        _show(self._lock, options.lock_orientation)
-        _show(self._tip_speed, options.tip_speed * 1e3)
+            show(self._autopilot, telemetry.autopilot)
+        show(self._clutch, self._session.clutched)
+        show(self._lock, options.lock_orientation)
         if self._building.locked():
             return
         scene = self._session.scene
@@ -106,9 +101,9 @@ class Panel:
             self._remember()
         if scene.mesh_name not in self._mesh.options:
             self._mesh.options = (*self._mesh.options, scene.mesh_name)
-        _show(self._mesh, scene.mesh_name)
-        _show(self._robot, scene.robot)
-        note = _note(" ".join((_about(scene.mesh_name), *scene.notes)).strip())
+        show(self._mesh, scene.mesh_name)
+        show(self._robot, scene.robot)
+        note = _note(" ".join((_about(scene.mesh_name), *scene.notes)).strip(), lines=3)
         if note != self._note:
             self._note = note
             self._scene_note.content = note
@@ -117,8 +112,13 @@ class Panel:
         session = self._session
         self._buttons(
             "Loop",
-            "Step pauses and does one tick.",
-            {"Run": session.resume, "Pause": session.pause, "Step": session.single_step},
+            "Key P pauses and runs.",
+            {"Run": session.resume, "Pause": session.pause},
+        )
+        self._buttons(
+            "Step, ticks",
+            "Pauses and does so many ticks. Key N does one, with Shift 10, with Alt 100.",
+            {str(n): partial(session.single_step, n) for n in STEPS.values()},
         )
         self._buttons(
             "Proxy",
@@ -149,14 +149,28 @@ class Panel:
                 hint="How far one tick may move the tool; triangles beyond it are not asked. "
                 "Auto: the arm's highest tip speed times the tick.",
             )
-            self._radius = self._length("Radius", "radius", 1e3, "mm", 0.05)
-            self._tip_radius = self._length("Tip radius", "tip_radius", 1e3, "mm", 0.1)
-            self._standoff = self._length("Standoff", "standoff", 1e6, "µm", 5.0)
+            self._radius = self._number(
+                "Radius [mm]",
+                "radius",
+                1e3,
+                0.05,
+                session.set_radius,
+                hint="Of the motion sphere.",
+            )
+            self._number(
+                "Tip radius [mm]",
+                "tip_radius",
+                1e3,
+                0.1,
+                session.set_tip_radius,
+                hint="Of the tool’s spherical tip; 0 is a point.",
+            )
+            self._number(
+                "Standoff [µm]", "standoff", 1e6, 5.0, session.set_standoff,
+                hint="How far the tool keeps from the surface.",
+            )  # fmt: skip
         self._bind(self._rule, lambda value: session.set_rule(str(value)))
         self._bind(self._radius_preset, self._take_preset)
-        self._bind(self._radius, lambda value: session.set_radius(_number(value) * 1e-3))
-        self._bind(self._tip_radius, lambda value: session.set_tip_radius(_number(value) * 1e-3))
-        self._bind(self._standoff, lambda value: session.set_standoff(_number(value) * 1e-6))
 
     def _scene_controls(self) -> None:
         scene = self._session.scene
@@ -184,14 +198,13 @@ class Panel:
 
     def _teleop_controls(self) -> None:
         session = self._session
-        low, high = RANGES["scale"]
         with self._gui.add_folder("Teleoperation", expand_by_default=False):
-            self._scale = self._gui.add_number(
+            self._number(
                 "Scale",
-                session.options.scale,
-                min=low,
-                max=high,
-                step=0.05,
+                "scale",
+                1.0,
+                0.05,
+                session.set_scale,
                 hint="Proxy movement for each movement of the gizmo, which is then the master’s "
                 "handle. The dVRK uses 0.2.",
             )
@@ -203,57 +216,20 @@ class Panel:
                 session.options.lock_orientation,
                 hint="The tool keeps its orientation, as in the paper’s study.",
             )
-            low, high = RANGES["tip_speed"]
-            self._tip_speed = self._gui.add_number(
+            self._number(
                 "Speed [mm/s]",
-                session.options.tip_speed * 1e3,
-                min=low * 1e3,
-                max=high * 1e3,
-                step=5.0,
+                "tip_speed",
+                1e3,
+                5.0,
+                session.set_tip_speed,
                 hint="The tool’s tip goes no faster; the arm’s joints have limits of their own.",
             )
-            low, high = RANGES["force_gain"]
-            self._gain = self._gui.add_number(
-                "Force [N/m]",
-                session.options.force_gain,
-                min=low,
-                max=high,
-                step=10.0,
+            self._number(
+                "Force [N/m]", "force_gain", 1.0, 10.0, session.set_force_gain,
                 hint="Stiffness of the simulated force, which is capped at 4 N.",
-            )
-        self._bind(self._scale, lambda value: session.set_scale(_number(value)))
+            )  # fmt: skip
         self._bind(self._clutch, lambda value: session.clutch(bool(value)))
         self._bind(self._lock, lambda value: session.set_orientation_lock(bool(value)))
-        self._bind(self._tip_speed, lambda value: session.set_tip_speed(_number(value) * 1e-3))
-        self._bind(self._gain, lambda value: session.set_force_gain(_number(value)))
-
-    def _view_controls(self, layers: dict[str, tuple[bool, Callable[[bool], None]]]) -> None:
-        with self._gui.add_folder("View"):
-            for label, hint, views in (
-                ("Look at", "The whole arm, the anatomy, or where the tool is at work.", VIEWS),
-                (
-                    "Close-up",
-                    f"Follow (key {FOLLOW_KEY}) goes along with the tool; again: no more. Surgeon "
-                    "looks as through an endoscope.",
-                    CLOSE_UPS,
-                ),
-            ):
-                group = self._gui.add_button_group(label, views, hint=hint)
-
-                @group.on_click
-                async def _views(event: viser.GuiEvent[Any]) -> None:
-                    if event.client is not None:
-                        self._hand.submit(self._look, event.client, str(event.target.value))
-
-            with self._gui.add_folder("Layers", expand_by_default=False):
-                for name, (shown, switch) in layers.items():
-                    self._layer(name, shown, switch)
-        follow = self._gui.add_command("Camera: follow the tool, or stop it", hotkey=FOLLOW_KEY)
-
-        @follow.on_trigger
-        async def _follow(event: Any) -> None:
-            if event.client is not None:
-                self._hand.submit(self._look, event.client, "Follow")
 
     def _buttons(self, label: str, hint: str, orders: dict[str, Callable[[], None]]) -> None:
         group = self._gui.add_button_group(label, tuple(orders), hint=hint)
@@ -264,25 +240,42 @@ class Panel:
             if order is not None:
                 self._hand.submit(order)
 
-    def _layer(self, name: str, shown: bool, switch: Callable[[bool], None]) -> None:
-        box = self._gui.add_checkbox(name, shown)
-
-        @box.on_update
-        async def _switch(event: viser.GuiEvent[Any]) -> None:
-            switch(bool(event.target.value))
-
-    def _length(
-        self, label: str, option: str, scale: float, unit: str, step: float
+    def _number(
+        self,
+        label: str,
+        option: str,
+        scale: float,
+        step: float,
+        take: Callable[[float], object],
+        hint: str,
     ) -> viser.GuiNumberHandle[float]:
-        low, high = RANGES[option]
-        value = getattr(self._session.options, option)
-        return self._gui.add_number(
-            f"{label} [{unit}]",
-            float((5e-3 if value is None else value) * scale),
+        """A field for one of `RANGES`, `scale` of its units to one of SI."""
+        session, (low, high) = self._session, RANGES[option]
+
+        def shown() -> float | None:
+            value = getattr(session.options, option)
+            return None if value is None else value * scale
+
+        value = shown()
+        control = self._gui.add_number(
+            label,
+            float(5e-3 * scale if value is None else value),
             min=low * scale,
             max=high * scale,
             step=step,
+            hint=hint,
         )
+        self._fields.append(
+            NumberField(
+                control,
+                (low * scale, high * scale),
+                self._hand,
+                self._tell,
+                lambda typed: take(typed / scale),
+                shown,
+            )
+        )
+        return control
 
     def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
         """Hand a control's value to the session; then show what the session made of it."""
@@ -310,7 +303,7 @@ class Panel:
         elif value != CUSTOM:
             raise ValueError(f"no such preset: {value!r}; choose one of {', '.join(RADII)}")
         elif self._session.options.radius is None:
-            self._session.set_radius(_number(self._radius.value) * 1e-3)
+            self._session.set_radius(float(self._radius.value) * 1e-3)
 
     def _remember(self) -> None:
         """Keep how the present mesh file was loaded, to be able to come back to it."""
@@ -345,7 +338,8 @@ class Panel:
 
     def _progress(self, text: str) -> None:
         self._scene_note.content = (
-            f"<div style='{_NOTE};color:{palette.css(palette.BLUE)}'>⏳ {html.escape(text)} …</div>"
+            f"<div style='{_NOTE};height:3.9em;color:{palette.css(palette.BLUE)}'>"
+            f"⏳ {html.escape(text)} …</div>"
         )
 
 
@@ -364,23 +358,6 @@ class Readouts:
         self._table.content = table
 
 
-def _show(control: Any, value: Any) -> None:
-    """Set a control without touching one that shows the value already, but for rounding."""
-    shown = control.value
-    if isinstance(value, float) and isinstance(shown, float):
-        if math.isclose(shown, value, rel_tol=1e-9, abs_tol=1e-12):
-            return
-        value = float(f"{value:.6g}")
-    control.value = value
-
-
-def _number(value: object) -> float:
-    number = float(value)  # type: ignore[arg-type]
-    if not math.isfinite(number):
-        raise ValueError(f"{number} is not a usable number")
-    return number
-
-
 def _preset(radius: float | None) -> str:
     for name, value in RADII.items():
         if radius == value or (radius and value and math.isclose(radius, value, rel_tol=1e-6)):
@@ -388,8 +365,10 @@ def _preset(radius: float | None) -> str:
     return CUSTOM
 
 
-def _note(text: str) -> str:
-    return f"<div style='{_NOTE}'>{html.escape(text)}</div>"
+def _note(text: str, lines: int) -> str:
+    """A text that takes up so many lines, whatever it says, and so moves no button."""
+    height = f"height:{1.3 * lines:g}em;overflow-y:auto"
+    return f"<div style='{_NOTE};{height}'>{html.escape(text)}</div>"
 
 
 def _about(mesh_name: str) -> str:

@@ -13,11 +13,11 @@ from app.settings import Options
 from app.view import palette
 from app.view.fixture import LEANING
 
-_HEAD = "padding:5px 0 1px;font-weight:600;color:#666;font-size:11px"
-_NAME = "padding:0 8px 0 0;color:#555;white-space:nowrap"
+_HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
+_NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
 _VALUE = "padding:0;text-align:right;white-space:nowrap"
-_UNIT = "padding:0 0 0 5px;color:#888"
-_GLOSS = "color:#999;font-size:10.5px"
+_UNIT = "padding:0 0 0 5px;color:var(--vf-faint)"
+_GLOSS = "color:var(--vf-faint);font-size:10.5px"
 
 SILENCE = 0.7  # a control loop that says nothing new for longer is reported [s]
 # The browser's own watchdog: each read-out replaces these elements, which starts their animations
@@ -28,7 +28,7 @@ _WATCHDOG = (
     ".vf-numbers{animation:vf-fade .3s 3s forwards}"
     ".vf-old{animation:vf-note .3s 3s forwards;opacity:0;pointer-events:none;position:absolute;"
     "z-index:1;left:.75em;right:.75em;top:38%;padding:6px 9px;border-left:5px solid "
-    f"{palette.css(palette.VERMILION)};background:#fff;color:#222;font-size:12.5px}}</style>"
+    f"{palette.css(palette.VERMILION)};background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px}}</style>"
     "<div class='vf-old'>Old numbers: nothing came from the sandbox for three seconds.</div>"
 )
 
@@ -122,7 +122,7 @@ def note(text: str) -> str:
 def _line(text: str, color: str) -> str:
     return (
         f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
-        "background:#f3f3f3;color:#222;font-size:12.5px;line-height:1.35;"
+        "background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px;line-height:1.35;"
         # Always two lines high, so that no button moves from under the mouse.
         f"min-height:calc(2.7em + 6px)'>{html.escape(text)}</div>"
     )
@@ -154,9 +154,9 @@ def legend() -> str:
     )
     return (
         f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
-        "<div style='color:#666;margin-top:4px'>Filled triangles gave the discs of the same "
-        "colour; the fuller a disc’s colour, the more the tool leans on it. A mere ring is a plane "
-        "farther off, when there are many.</div></div>"
+        "<div style='color:var(--vf-faint);margin-top:4px'>Filled triangles gave the discs of the "
+        "same colour; the fuller a disc’s colour, the more the tool leans on it. A mere ring is a "
+        "plane farther off, when there are many.</div></div>"
     )
 
 

@@ -112,6 +112,7 @@ class RecordTab:
             if event.client is not None and replay is not None and name in SPEEDS:
                 replay.transport.pace(SPEEDS[name])
 
+        stage.escape.offer(self._left)
         self._refresh()
 
     def set_scene(self, scene: Scene) -> None:
@@ -193,6 +194,12 @@ class RecordTab:
         self._stage.screen.instead = None
         if self._resume:
             self._session.resume()
+
+    def _left(self) -> bool:
+        """The Escape key: leave the replay, if there is one."""
+        there = self._replay is not None
+        self._end()
+        return there
 
     def _toggle_play(self) -> None:
         replay = self._replay

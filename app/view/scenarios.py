@@ -19,7 +19,8 @@ from app.view.feature import Stage
 
 ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
 FILE_NAME = "scenario.json"
-_STYLE = "margin:0 .75em .3em;font-size:12px;line-height:1.35"
+# As high whatever it says, so that loading moves no button from under the mouse.
+_STYLE = "margin:0 .75em .3em;font-size:12px;line-height:1.35;height:5.4em;overflow-y:auto"
 
 
 class ScenarioChoice:
@@ -45,13 +46,13 @@ class ScenarioChoice:
             self._choice = gui.add_dropdown(
                 "Show", names, initial_value=names[0] if begun is None else begun.name
             )
-            self._sentence = gui.add_html("")
             buttons = gui.add_button_group(
                 "Set-up",
                 ("Load", "Save"),
                 hint="Load begins the scenario above. Save downloads what is set now, as a small "
                 "file for --scenario.",
             )
+            self._sentence = gui.add_html("")
         self._tell_about()
 
         @self._choice.on_update

@@ -14,12 +14,14 @@ class Screen:
     Attributes:
         instead: what to show instead of the session; None: the session.
         caption: what the banner says meanwhile.
+        shown: what `now` said last.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
         self.instead: Callable[[], Moment] | None = None
         self.caption = ""
+        self.shown = self.now()
 
     @property
     def live(self) -> bool:
@@ -30,8 +32,10 @@ class Screen:
         """What to show now."""
         instead = self.instead
         if instead is not None:
-            return instead()
+            self.shown = instead()
+            return self.shown
         session = self._session
         # Telemetry first: what it refers to is in force by then, or will be.
         telemetry = session.latest()
-        return Moment(session.scene, session.options, telemetry)
+        self.shown = Moment(session.scene, session.options, telemetry)
+        return self.shown

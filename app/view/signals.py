@@ -1,7 +1,11 @@
-"""Tab "Signals": the last twenty seconds as plots, and the trail of the tool's tip."""
+"""Tab "Signals": the last twenty seconds as plots, and the trail of the tool's tip.
+
+Samples are taken whenever somebody watches the page, so that the tab opens with what was before.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 SPAN = 20.0  # what the plots show [s]
 PERIOD = 0.1  # between two samples [s]
-REDRAWN = 0.25  # between two updates of the plots: a browser draws all five of them anew [s]
+REDRAWN = 0.5  # between two updates of the plots: a browser draws all five of them anew [s]
 LENGTH = round(SPAN / PERIOD)
 
 WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
@@ -48,7 +52,7 @@ PLOTS = (
     Plot("Proxy to tool [mm]", (Curve("error", palette.PROXY),), 1.0),
     Plot("Simulated force [N]", (Curve("force", palette.FORCE),), 1.0),
     Plot(
-        "Planes: Condition 1, 2, 3",
+        "Planes",
         tuple(
             Curve(palette.LOOKS[rule].name.split(",")[0], palette.LOOKS[rule].color)
             for rule in CONDITIONS
@@ -92,7 +96,9 @@ class History:
         self._count = 0
 
     def add(self, time: float, values: FloatArray) -> None:
-        """Append values (`CURVES`,) at a time [s] later than the one before."""
+        """Append values (`CURVES`,) at a time [s]; one that is not later begins another history."""
+        if self._count and time <= self._times[self._count - 1]:
+            self.clear()
         if self._count == LENGTH:
             self._times[:-1] = self._times[1:]
             self._values[:-1] = self._values[1:]
@@ -115,21 +121,23 @@ class History:
 
 
 class Signals:
-    """The tab. While it is switched off, or nobody watches, it computes and sends nothing."""
+    """The tab. While nobody watches it computes nothing; switched off, it sends nothing."""
 
     def __init__(self, stage: Stage) -> None:
         gui = stage.server.gui
-        self._session = stage.session
+        self._stage, self._session = stage, stage.session
+        self._live = True
         self._history = History()
         self._trail = trail.Trail(stage.server.scene)
         self._cleared = False
+        self._due = True  # draw at once, whatever the pace
         self._scene: Scene = stage.session.scene
-        self._sampled = 0.0  # simulated time of the newest sample [s]
+        self._sampled = -math.inf  # simulated time of the newest sample [s]
         self._drawn = 0.0  # when the plots were last sent [s]
         self._marked = 0.0  # of the newest point of the trail [s]
         with stage.left.add_tab("Signals"):
             self._on = gui.add_checkbox(
-                "Plot", False, hint="Draw the last 20 s. While this is off it costs nothing."
+                "Plot", True, hint="Off, the plots stand still; what they miss is kept for later."
             )
             self._plots = [self._add(gui, plot, plot is PLOTS[-1]) for plot in PLOTS]
             self._mode = gui.add_dropdown(
@@ -145,31 +153,36 @@ class Signals:
         async def _clear(_event: Any) -> None:
             self._cleared = True
 
+        @self._on.on_update
+        async def _switch(_event: Any) -> None:
+            self._due = True
+
     def set_scene(self, scene: Scene) -> None:
         """Another anatomy has another past."""
         self._scene = scene
-        self._history.clear()
-        self._trail.path.clear()
-        self._trail.draw()
+        self._forget()
 
     def frame(self, telemetry: Telemetry) -> None:
         """Sample and draw, each at its own pace."""
         if self._cleared:
             self._cleared = False
-            self._history.clear()
-            self._trail.path.clear()
-            self._trail.draw()
+            self._forget()
+        if self._stage.screen.live != self._live:
+            self._live = self._stage.screen.live  # a replay has a past of its own
+            self._forget()
         if telemetry.scene != self._scene.version or telemetry.step is None:
             return
         self._mark(telemetry)
-        if self._on.value and not 0.0 <= telemetry.time - self._sampled < PERIOD:
+        if not 0.0 <= telemetry.time - self._sampled < PERIOD:
             self._sampled = telemetry.time
             values = sample(telemetry, self._scene.surface)
             if values is not None:
                 self._history.add(telemetry.time, values)
-            if not 0.0 <= telemetry.time - self._drawn < REDRAWN:
-                self._drawn = telemetry.time
-                self._draw()
+                self._due |= not 0.0 <= telemetry.time - self._drawn < REDRAWN
+        if self._due and self._on.value:
+            self._due = False
+            self._drawn = telemetry.time
+            self._draw()
 
     def read_out(self, telemetry: Telemetry) -> None:
         """Nothing here goes at that pace."""
@@ -186,6 +199,13 @@ class Signals:
         p_tip = np.array(telemetry.step.tip.translation)
         if self._trail.path.add(p_tip, signed_distance(self._scene.surface, p_tip)):
             self._trail.draw()
+
+    def _forget(self) -> None:
+        self._history.clear()
+        self._sampled = -math.inf
+        self._trail.path.clear()
+        self._trail.draw()
+        self._due = True
 
     def _draw(self) -> None:
         times, values = self._history.shown()
@@ -229,7 +249,8 @@ class Signals:
                 },
                 {"size": 42, "font": small, "gap": 2},
             ),
-            legend={"show": False},
+            # One curve is what its title says.
+            legend={"show": len(plot.curves) > 1, "live": False},
             cursor={"show": False},
             height=100 if last else 66,
             padding=(4, 8, 4, 0),

@@ -34,14 +34,14 @@ def legend() -> str:
     """HTML of what the trail's colours mean."""
     stops = ",".join(palette.css(tuple(map(int, c))) for c in _RAMP)  # type: ignore[arg-type]
     return (
-        "<div style='margin:0 .75em .4em;font-size:11px;color:#444;display:flex;gap:5px;"
+        "<div style='margin:0 .75em .4em;font-size:11px;color:var(--vf-soft);display:flex;gap:5px;"
         "align-items:center;white-space:nowrap'>"
         f"<span style='width:12px;height:9px;background:{palette.css(_OUTSIDE)}'></span>outside"
         "<span style='margin-left:8px'>0</span>"
         f"<span style='flex:1;height:9px;background:linear-gradient(90deg,{stops})'></span>"
         f"{DEEP * 1e3:g} mm deep</div>"
-        "<div style='margin:0 .75em .4em;font-size:11px;line-height:1.3;color:#666'>The bone hides "
-        "what is inside it: View › Layers › See-through.</div>"
+        "<div style='margin:0 .75em .4em;font-size:11px;line-height:1.3;color:var(--vf-faint)'>"
+        "The bone hides what is inside it: View › Layers › See-through.</div>"
     )
 
 

@@ -39,7 +39,7 @@ def line(client_id: int, owner: int | None, clients: int) -> str:
     else:
         words = f"Another client is dragging: {_badge(owner)} has the proxy."
     return (
-        "<div style='margin:0 .75em .3em;font-size:11.5px;line-height:1.35;color:#444'>"
+        "<div style='margin:0 .75em .3em;font-size:11.5px;line-height:1.35;color:var(--vf-soft)'>"
         f"{words}</div>"
     )
 

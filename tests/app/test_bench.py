@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -380,3 +381,56 @@ def test_a_soak_forgives_a_warm_up_and_a_spike() -> None:
     warming = [300.0 + 20 * min(k, 10) for k in range(60)]
     warming[40] = 900.0
     assert soak.complaints(sampled(**{"memory [MB]": warming})) == []
+
+
+def test_a_drag_is_measured_in_a_window_as_people_have_one_and_says_in_which() -> None:
+    from rich.console import Console
+
+    from app.bench import latency
+    from app.bench.watcher import WINDOW
+
+    assert (WINDOW["width"], WINDOW["height"], latency.RATIO) == (1440, 900, 1.0)
+    opened: list[dict[str, Any]] = []
+
+    class Browser:
+        def new_page(self, **properties: Any) -> Any:
+            opened.append(properties)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        latency._attend(Browser(), "http://127.0.0.1:1")
+    assert opened == [{"viewport": WINDOW, "device_scale_factor": 1.0}]
+    loop = {"rate [Hz]": 1000.0, "punctual": 0.999, "late [us]": {"p99": 50.0}}
+    result = {
+        "what": "vf-sandbox bench view",
+        "triangles": 1000,
+        "drags": 12,
+        **dict.fromkeys(
+            (
+                "input to message [ms]",
+                "message to moved tool [ms]",
+                "input to moved tool [ms]",
+                "input to picture [ms]",
+            ),
+            (10.0, 20.0),
+        ),
+        "updates/s": 20.0,
+        "pictures/s": 7.5,
+        "window": {
+            **WINDOW,
+            "ratio": 1.0,
+            "canvas": [597, 675],
+            "css": [797, 900],
+            "renderer": "ANGLE (SwiftShader)",
+            "smoothed": False,
+            "pictures": 99,
+        },
+        "loop while dragging": loop,
+        "loop on autopilot": loop,
+    }
+    console = Console(record=True, width=80, force_terminal=False)
+    latency.tell(result, console)
+    said = console.export_text()
+    for words in ("7.5 pictures/s", "1440 × 900 at 1", "597 × 675 pixels", "not smoothed"):
+        assert words in said
+    assert "ANGLE (SwiftShader)" in said

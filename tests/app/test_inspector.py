@@ -20,7 +20,7 @@ from app.view.inspector.compare import Comparison, Pose, allowed, sample
 from app.view.inspector.inspection import Inspector, Question, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.region import allowed_region
-from app.view.inspector.worker import Worker
+from app.view.worker import Worker
 
 RADIUS = 5e-3
 # Which condition each of the paper's drawings shows for T1 and T2 (its Figures 4 and 5).
@@ -110,7 +110,7 @@ def test_every_verdict_has_plain_words(pressed):
 
 def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pressed):
     close = Inspector().answer(Question(pressed, False, comparison=True)).trials
-    trials = {trial.rule: trial for trial in close}
+    trials = {trial.rule: trial for trial in close.of}
     assert set(trials) == set(vf.RULES)
     assert trials["certified"].leaking == 0.0
     assert not trials["certified"].crosses
@@ -122,7 +122,7 @@ def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pr
     # Every face in the sphere blocks more than the planes that are needed.
     assert trials["all"].blocked > trials["certified"].blocked
     assert trials["certified"].p_tip == pytest.approx(pressed.x, abs=1e-4)
-    html = words.comparison(close, Inspector().answer(Question(pressed, False, True)))
+    html = words.comparison(close)
     assert "Would go through the surface: off." in html
 
 
@@ -190,16 +190,45 @@ def test_what_did_not_change_is_not_asked_again(pressed):
 
 def test_a_comparison_that_lags_behind_is_made_up_for(pressed, monkeypatch):
     inspector = Inspector()
-    first = inspector.answer(Question(pressed, False, comparison=True))
+    first = inspector.answer(Question(replace(pressed, tick=41), False, comparison=True))
     assert first.settled
-    moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]))
+    moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]), tick=43)
     late = inspector.answer(Question(moved, False, comparison=True))
     assert not late.settled  # too soon after the first
     assert late.trials is first.trials
+    # What is said of it is of the moment it was made in, not of this one.
+    assert (late.trials.x == pressed.x).all()
+    assert late.trials.tick == 41
+    assert "after tick 41" in words.comparison(late.trials)
     monkeypatch.setattr("app.view.inspector.inspection.SLOW", 0.0)
     caught_up = inspector.answer(Question(moved, False, comparison=True))
     assert caught_up.settled
     assert caught_up.trials is not first.trials
+    assert caught_up.trials.tick == 43
+    assert (caught_up.trials.x == moved.x).all()
+
+
+def test_a_comparison_is_not_kept_for_another_place_or_other_settings(pressed):
+    for change in (
+        {"step": None, "pose": None},
+        {"options": replace(pressed.options, tip_radius=1e-3)},
+    ):
+        inspector = Inspector()
+        first = inspector.answer(Question(pressed, False, comparison=True))
+        other = inspector.answer(Question(replace(pressed, **change), False, comparison=True))
+        assert other.trials is not first.trials
+
+
+def test_all_trials_are_made_from_the_state_of_one_tick(scene, pressed):
+    """What the comparison says of each rule is what that rule's own controller does next."""
+    compared = Inspector().answer(Question(pressed, False, comparison=True)).trials
+    for trial in compared.of:
+        controller = scenes.plant(scene, replace(pressed.options, rule=trial.rule)).controller
+        step = controller.step(pressed.pose.q, pressed.pose.target)
+        np.testing.assert_allclose(trial.p_tip, step.tip.translation, atol=1e-8)
+        assert trial.step == pytest.approx(
+            np.linalg.norm(step.tip.translation - compared.x), abs=1e-8
+        )
 
 
 @pytest.mark.parametrize("name", ["skull-coarse", "gear"])

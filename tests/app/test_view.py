@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pinocchio as pin
@@ -53,9 +55,7 @@ def test_nudges_stay_orthonormal_however_the_camera_is_held() -> None:
         assert (axes[:, 2] == [0.0, 0.0, 1.0]).all()
 
 
-def test_nudging_keys_are_not_the_cameras() -> None:
-    assert not set(keys.KEYS) & set("WASDQE")
-    assert not {help.KEY, *keys.KEYS} & {"F"}
+def test_the_help_has_ten_lines() -> None:
     assert len(help.LINES) == 10
 
 
@@ -118,6 +118,55 @@ def test_a_sample_is_what_the_tick_says_in_the_plots_units(
     assert (values[3:6] == 0.0).all()
     assert values[6:] == pytest.approx([40.0, 90.0])
     assert len(values) == signals.CURVES
+
+
+def test_a_time_that_goes_back_begins_another_history() -> None:
+    history = signals.History()
+    for time in (1.0, 1.1, 1.2, 0.5):
+        history.add(time, np.full(signals.CURVES, time))
+    times, values = history.shown()
+    assert times.tolist() == [0.0]
+    assert (values == 0.5).all()
+
+
+def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
+    telemetry: list[Telemetry],
+) -> None:
+    from app import scene
+
+    shown = scene.build(Options(mesh="sphere", robot="point", rule="off"), 1, warm=False)
+    stage: Any = MagicMock()
+    stage.screen.live = True
+    stage.session.options.rule = "certified"
+    tab = signals.Signals(stage)
+    tab.set_scene(shown)
+    tab._on.value = False
+    for shot in telemetry:
+        tab.frame(shot)
+    times, _ = tab._history.shown()
+    assert len(times) == 2, "150 ms at a sample each 100 ms"
+    plots = [SimpleNamespace(data=None) for _ in signals.PLOTS]
+    tab._plots = plots
+    tab.frame(telemetry[-1])
+    assert plots[0].data is None, "switched off, they stand still"
+    tab._on.value = True
+    switched = tab._on.on_update.call_args.args[0]
+    asyncio.run(switched(None))
+    tab.frame(telemetry[-1])  # of a paused loop: no new tick
+    assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with what was before"
+    stage.screen.live = False  # a replay begins
+    tab.frame(telemetry[0])
+    assert len(tab._history.shown()[0]) == 1
+
+
+def test_plots_of_several_curves_have_a_legend() -> None:
+    stage: Any = MagicMock()
+    signals.Signals(stage)
+    added = stage.server.gui.add_uplot.call_args_list
+    assert len(added) == len(signals.PLOTS)
+    for call, plot in zip(added, signals.PLOTS, strict=True):
+        assert call.kwargs["legend"]["show"] == (len(plot.curves) > 1)
+        assert [s["label"] for s in call.kwargs["series"][1:]] == [c.name for c in plot.curves]
 
 
 def test_the_plots_scroll_over_the_last_twenty_seconds() -> None:

@@ -77,7 +77,6 @@ def condition_2(visitor: Visitor, session: Session) -> None:
 def signals(visitor: Visitor, session: Session) -> None:
     """Twenty seconds of the autopilot as plots."""
     visitor.tab.get_by_role("tab", name="Signals", exact=True).click()
-    visitor.tab.get_by_label("Plot", exact=True).click()
     session.set_autopilot(True)
     visitor.tab.wait_for_timeout(22_000)
     session.pause()

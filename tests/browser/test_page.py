@@ -188,7 +188,7 @@ def test_pause_stops_the_ticks_and_step_does_one(visitor: Visitor, session: Sess
     visitor.press("Pause")
     wait_until(lambda: session.latest().paused, "the pause")
     tick = session.latest().tick
-    visitor.press("Step")
+    visitor.press("1")
     wait_until(lambda: session.latest().tick == tick + 1, "one tick")
     visitor.tab.get_by_text("Paused.").wait_for()
     visitor.press("Run")
@@ -217,6 +217,7 @@ def test_typed_values_out_of_range_are_put_right(visitor: Visitor, session: Sess
     box.press("Enter")
     wait_until(lambda: abs(session.options.radius - 0.02) < 1e-9, "the clamped radius")
     wait_until(lambda: box.input_value() == "20", "the box to show it")
+    visitor.tab.get_by_text("20, as 900 is outside 0.05 to 20").wait_for(timeout=30_000)
 
 
 @pytest.mark.slow

@@ -104,11 +104,14 @@ def test_reads_the_plots_and_sees_how_deep_the_tool_goes_without_a_fixture(
     charts = "Object.values((window.__viserTestpoints || {}).uplots || {})"
     newest = f"{charts}.map(u => u.chart.data.slice(1).map(s => s[s.length - 1]))"
     visitor.tab.get_by_text("Signals", exact=True).click()
-    visitor.tab.get_by_label("Plot", exact=True).click()
+    wait_until(lambda: visitor.tab.evaluate(f"{charts}.length") == 5, "five plots")
+    before_opening = f"{charts}[0].chart.data[0].length"
+    assert visitor.tab.evaluate(before_opening) > 5, "they show what was before"
+    for curve in ("Condition 1", "Condition 2", "Condition 3", "median", "worst"):
+        assert visitor.tab.locator(".u-legend").get_by_text(curve, exact=True).is_visible()
     start = session.scene.T_base_start
     session.set_rule("off")
     session.drive(pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.016])))
-    wait_until(lambda: visitor.tab.evaluate(f"{charts}.length") == 5, "five plots")
     wait_until(lambda: visitor.tab.evaluate(newest)[0][0] < -0.1, "the depth in the plot")
     visitor.picture("signals")
     visitor.tab.get_by_label("Plot", exact=True).click()
@@ -117,6 +120,7 @@ def test_reads_the_plots_and_sees_how_deep_the_tool_goes_without_a_fixture(
     session.reset()
     visitor.tab.wait_for_timeout(1500)
     assert visitor.tab.evaluate(newest) == before, "what is switched off stands still"
+    visitor.tab.get_by_label("Plot", exact=True).click()
     session.drive(pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.016])))
     visitor.tab.get_by_text("Read-outs", exact=True).click()
     wait_until(lambda: float(visitor.readout("depth below surface").strip("–") or 0) > 0.1, "depth")
@@ -134,6 +138,10 @@ def test_opens_the_help_and_closes_it(visitor: Visitor) -> None:
     title.wait_for()
     assert visitor.tab.locator(".vf-help li").count() == 10
     visitor.tab.keyboard.press("h")
+    title.wait_for(state="hidden")
+    visitor.tab.keyboard.press("h")
+    title.wait_for()
+    visitor.tab.keyboard.press("Escape")
     title.wait_for(state="hidden")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import viser
 import websockets.asyncio.server
 
+from app.view import script
 from app.view.guard.complaints import complain_sometimes, quiet_log
 from app.view.guard.connection import Connection
 from app.view.guard.door import Door
@@ -37,10 +38,10 @@ def serve(host: str, port: int, token: str | None, **options: Any) -> viser.Vise
 
     def ours(handler: Any, *arguments: Any, **keywords: Any) -> Any:
         # In viser's thread, where an exception would make its constructor wait forever.
-        process = keywords.get("process_request")
+        process: Any = keywords.get("process_request")
         wrapped.append(process is not None)
         keywords.update(
-            process_request=functools.partial(door.process, process),
+            process_request=functools.partial(door.process, script.adding(process)),
             create_connection=Connection,
             max_size=LARGEST,
             max_queue=4,

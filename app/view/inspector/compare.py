@@ -60,6 +60,21 @@ class Pose:
     target: pin.SE3
 
 
+@dataclass(frozen=True)
+class Trials:
+    """What every rule would do from one and the same state.
+
+    Attributes:
+        x: (3,) where the tip, or the probe, was then [m].
+        tick: the tick after which it was so; None for a probe.
+        of: a trial for each rule.
+    """
+
+    x: FloatArray
+    tick: int | None
+    of: tuple[Trial, ...]
+
+
 class Comparison:
     """One scene's arm and a controller for each rule; for one thread at a time."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import vf
 from app.scene import Scene
 from app.settings import Options
-from app.view.inspector.compare import Comparison, Pose, Trial
+from app.view.inspector.compare import Comparison, Pose, Trials
 from app.view.inspector.region import Region, allowed_region
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +34,7 @@ class Subject:
         step: the tick that is shown; None for a probe.
         pose: to make trial steps from; None for a probe, or without a proxy.
         names: of triangles, where they have any.
+        tick: number of the tick that is shown.
     """
 
     surface: vf.Surface
@@ -45,10 +46,20 @@ class Subject:
     step: vf.Step | None = None
     pose: Pose | None = None
     names: tuple[str, ...] = ()
+    tick: int | None = None
 
     def name(self, triangle: int) -> str:
         """What to call a triangle."""
         return self.names[triangle] if triangle < len(self.names) else f"#{triangle:,}"
+
+    def same_setting(self, other: Subject) -> bool:
+        """Whether another one is of the same surface, settings and kind (a tool, or a probe)."""
+        return (
+            self.surface is other.surface
+            and self.scene is other.scene
+            and self.options == other.options
+            and (self.step is None) == (other.step is None)
+        )
 
     def same_place(self, other: Subject | None) -> bool:
         """Whether the triangles around it, and what is said of them, are those of another."""
@@ -89,7 +100,8 @@ class Inspection:
         planes: of the rule in force, as of the tick, or as they would be at the probe.
         multipliers: (m,) how far each of the planes pushed the tip back in the tick [m].
         region: the allowed region, None: not asked for.
-        trials: of every rule, None: not asked for.
+        trials: of every rule, None: not asked for. All are of one moment, which may be an earlier
+            one than the subject's: comparing takes long.
         settled: asking the same once more would change nothing.
     """
 
@@ -98,7 +110,7 @@ class Inspection:
     planes: vf.Planes
     multipliers: FloatArray
     region: Region | None
-    trials: tuple[Trial, ...] | None
+    trials: Trials | None
     settled: bool = True
 
     def leaning(self, triangle: int) -> tuple[float, float]:
@@ -152,7 +164,8 @@ class Inspector:
             region = region or allowed_region(planes, subject.x)
         trials, settled = None, True
         if question.comparison:
-            trials = last.trials if last is not None else None
+            alike = last is not None and last.subject.same_setting(subject)
+            trials = last.trials if last is not None and alike else None
             due = time.monotonic() > self._compared + SLOW
             settled = last is not None and last.settled and question.same(self._question)
             if trials is None or (due and not settled):
@@ -162,12 +175,13 @@ class Inspector:
         self._last = Inspection(subject, explanation, planes, multipliers, region, trials, settled)
         return self._last
 
-    def _compare(self, subject: Subject) -> tuple[Trial, ...]:
+    def _compare(self, subject: Subject) -> Trials:
         if self._comparison is None or self._comparison[0] is not subject.scene:
             self._comparison = subject.scene, Comparison(subject.scene)
-        return self._comparison[1].trials(
+        found = self._comparison[1].trials(
             subject.surface, subject.x, subject.radius, subject.options, subject.pose
         )
+        return Trials(subject.x, subject.tick, found)
 
 
 def _equal(a: vf.Planes, b: vf.Planes) -> bool:

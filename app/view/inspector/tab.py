@@ -22,8 +22,8 @@ from app.view.inspector.drawing import NearDrawing
 from app.view.inspector.inspection import Inspection, Inspector, Question, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.probe import Probe, beside, case_view
-from app.view.inspector.worker import Worker
 from app.view.units import VIEW_SCALE, pose_from_view
+from app.view.worker import Worker
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ BACK, MAIN, ON = "◀", "Main", "▶"
 RULES = ("paper", "certified", "all")  # whose planes are shown at the probe
 FARTHEST = 2.0  # a probe farther than this from the base is a mistake [m]
 
-_NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:#444"
+_NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-soft)"
 _INTRO = (
     f"<div style='{_NOTE}'>Colours every triangle in the motion sphere by what the paper’s "
     "conditions make of it. Click one on the anatomy, or step through them.</div>"
@@ -133,7 +133,7 @@ class InspectorTab:
         self._list.content = words.nearest(inspection, chosen)
         self._solid.content = words.region(inspection) if self._region else ""
         self._rules.content = (
-            words.comparison(inspection.trials, inspection)
+            words.comparison(inspection.trials)
             if inspection.trials is not None and self._comparing
             else ""
         )
@@ -153,7 +153,8 @@ class InspectorTab:
         return inspection
 
     def _subject(self, telemetry: Telemetry) -> Subject | None:
-        options, scene, step = self._stage.session.options, self._scene, telemetry.step
+        # Of what is shown, which a replay puts in the session's place.
+        options, scene, step = self._stage.screen.shown.options, self._scene, telemetry.step
         if step is None or telemetry.scene != scene.version:
             return None
         if not self._exploring:
@@ -161,6 +162,7 @@ class InspectorTab:
             return Subject(
                 scene.surface, np.array(step.tip.translation), step.radius, options,
                 options.rule, scene, step, None if target is None else Pose(telemetry.q, target),
+                tick=telemetry.tick,
             )  # fmt: skip
         if self._case is None:
             return Subject(self._surface, self._probe_at, step.radius, options, self._rule, scene)
@@ -213,7 +215,9 @@ class InspectorTab:
         )
         self._solid = gui.add_html("")
         compare = gui.add_checkbox(
-            "Compare rules", False, hint="What every rule would do from this very pose."
+            "Compare rules",
+            False,
+            hint="What every rule would do from the pose after one tick. Pause (key P) to hold it.",
         )
         self._rules = gui.add_html("")
 

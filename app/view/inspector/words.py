@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from app.view import palette
 from app.view.fixture import LEANING
-from app.view.inspector.compare import Trial
+from app.view.inspector.compare import Trials
 from app.view.inspector.inspection import Inspection, Subject
 from vf import Cover, Edge, Feature, Rule, TriangleReport, Verdict
 
 NEAREST = 8  # rows of the list of triangles
 
 _BOX = "margin:0 .75em .5em;font-size:12px;line-height:1.35"
-_SMALL = "color:#666;font-size:11px"
+_SMALL = "color:var(--vf-faint);font-size:11px"
 
 STATES = tuple(palette.STATES)
 _BY_CONDITION = {
@@ -145,7 +145,7 @@ def triangle(inspection: Inspection, chosen: int) -> str:
     )
     verdict = (
         f"<div class='vf-reason' style='border-left:4px solid {palette.css(state.color)};"
-        "padding:2px 0 2px 7px;margin:3px 0;background:#f6f6f6'>"
+        "padding:2px 0 2px 7px;margin:3px 0;background:var(--vf-plate)'>"
         f"{html.escape(reason(report, subject))}</div>"
     )
     table = f"<table style='width:100%;border-collapse:collapse'>{''.join(rows)}</table>"
@@ -162,7 +162,7 @@ def nearest(inspection: Inspection, chosen: int) -> str:
     for report in explanation[first : first + NEAREST]:
         state = palette.STATES[state_of(report)]
         push, _ = inspection.leaning(report.triangle)
-        mark = "background:#e9eef5;font-weight:600" if report.triangle == chosen else ""
+        mark = "background:var(--vf-plate);font-weight:600" if report.triangle == chosen else ""
         pushes = " ◀" if push > LEANING else ""
         lines.append(
             f"<tr style='{mark}'><td style='padding:0 4px 0 0'>"
@@ -184,14 +184,15 @@ def nearest(inspection: Inspection, chosen: int) -> str:
     return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
 
 
-def comparison(trials: tuple[Trial, ...], inspection: Inspection) -> str:
+def comparison(compared: Trials) -> str:
     """The rules side by side: columns are rules, as there are fewer of them than lines fit."""
-    x = inspection.subject.x
+    trials, x = compared.of, compared.x
     cell = "padding:0 0 0 4px;text-align:right;white-space:nowrap"
 
     def line(name: str, values: list[str], hint: str) -> str:
         cells = "".join(f"<td style='{cell}'>{v}</td>" for v in values)
-        return f"<tr title='{html.escape(hint)}'><td style='color:#555'>{name}</td>{cells}</tr>"
+        head = f"<tr title='{html.escape(hint)}'><td style='color:var(--vf-soft)'>{name}</td>"
+        return f"{head}{cells}</tr>"
 
     head = "".join(f"<th style='{cell};font-weight:600'>{t.rule}</th>" for t in trials)
     lines = [
@@ -228,8 +229,10 @@ def comparison(trials: tuple[Trial, ...], inspection: Inspection) -> str:
         moves = f"<div style='{_SMALL}'>Tip would move by (x, y, z)<br>{moves}</div>"
     else:
         note, moves = "No step: there is no proxy to follow here.", ""
+    moment = "At the probe." if compared.tick is None else f"All after tick {compared.tick:,}."
     return (
-        f"<div class='vf-rules' style='{_BOX}'><table style='width:100%;border-collapse:collapse;"
+        f"<div class='vf-rules' style='{_BOX}'><div style='{_SMALL}'>{moment}</div>"
+        "<table style='width:100%;border-collapse:collapse;"
         f"font-size:11px;font-variant-numeric:tabular-nums'><tr><th></th>{head}</tr>"
         f"{''.join(lines)}</table><div style='{_SMALL}'>{html.escape(note)}</div>{moves}"
         f"<div style='{_SMALL}'>Leak: surface on the allowed side of all planes. Blocked: free "
@@ -329,6 +332,6 @@ def _box(text: str) -> str:
 
 def _row(name: str, value: str) -> str:
     return (
-        f"<tr><td style='color:#555;padding:0'>{html.escape(name)}</td>"
+        f"<tr><td style='color:var(--vf-soft);padding:0'>{html.escape(name)}</td>"
         f"<td style='text-align:right;padding:0'>{html.escape(value)}</td></tr>"
     )
