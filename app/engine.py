@@ -118,6 +118,7 @@ class Engine:
         self._target: pin.SE3 | None = None
         self._stale = False
         self._failed = False
+        self._origin: pin.SE3 | None = None  # where the last tick began
         self.failures = 0  # ticks whose controller raised: held, and counted as HELD
         if state is not None:
             self._q = _frozen(state.q)
@@ -128,6 +129,7 @@ class Engine:
             self._target = state.target
             self._stale = state.stale
             self._step = state.step
+        self._tip: pin.SE3 = self._plant.arm.tip(self._q)
 
     @property
     def state(self) -> State:
@@ -186,6 +188,7 @@ class Engine:
             paused=orders.paused,
             autopilot=orders.autopilot,
             stale=self._stale,
+            origin=self._origin,
         )
 
     def _adopt(self, orders: Orders) -> bool:
@@ -205,6 +208,7 @@ class Engine:
                 self._q = _frozen(new.q0)
             self._autopilot_since = None
         self._plant = new
+        self._tip = new.arm.tip(self._q)
         self._failed = False
         return True
 
@@ -219,6 +223,7 @@ class Engine:
             self._stale = command.held and self._silent * plant.dt > plant.stale_after
             self._target = None if command.clutch or self._stale else command.target
         self._tick += 1
+        self._origin = self._tip
         if self._target is None:
             self._hold()
             return
@@ -229,6 +234,7 @@ class Engine:
             return
         self._q = _frozen(step.q)
         self._step = step
+        self._tip = step.tip
 
     def _hold(self) -> None:
         """Look, but do not move: planes and distance at the tip, zero force, the same joints."""

@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -48,13 +49,21 @@ class ControlLoop:
     from that moment, so time lost is lost and never made up by faster ticks.
     """
 
-    def __init__(self, orders: Mailbox[Orders], telemetry: Mailbox[Telemetry], dt: float) -> None:
+    def __init__(
+        self,
+        orders: Mailbox[Orders],
+        telemetry: Mailbox[Telemetry],
+        dt: float,
+        watch: Callable[[Orders, Telemetry, bool], None] | None = None,
+    ) -> None:
+        """Nothing runs yet. `watch` hears of every tick like a tape, as long as the loop lives."""
         first = orders.get()
         if first is None:
             raise ValueError("the loop needs orders to start from")
         self._orders = orders
         self._telemetry = telemetry
         self._dt = dt
+        self._watch = watch
         self._engine = Engine(first)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control")
@@ -108,6 +117,8 @@ class ControlLoop:
             self._telemetry.put(telemetry)
             if tape is not None:
                 tape.take(orders, telemetry, ticked)
+            if self._watch is not None:
+                self._watch(orders, telemetry, ticked)
             ended = now()
             late = deadline + dt
             if ticked:

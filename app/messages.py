@@ -55,6 +55,8 @@ class Telemetry:
         step: what the controller did; None before the first tick and while paused at start.
         scene: version of the session's scene (arm and mesh) the tick ran in.
         sequence: of the newest command seen.
+        origin: pose of the tip when the tick began, `step.tip` of the one before but for a reset or
+            a change of scene in between; None: not known.
     """
 
     tick: int
@@ -68,3 +70,4 @@ class Telemetry:
     paused: bool
     autopilot: bool
     stale: bool
+    origin: pin.SE3 | None = None

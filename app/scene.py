@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
+from app import meeting
 from app.autopilot import Script, plan
 from app.engine import Plant, is_free
 from app.outside import shows_fronts_only
@@ -231,6 +232,7 @@ def plant(scene: Scene, options: Options) -> Plant:
 def warm_up() -> None:
     """Have every kernel of a tick compiled, or loaded from disk; once in a process."""
     vf.Controller(robots.load("point"), []).warm_up()
+    meeting.warm_up()
 
 
 def clearance(options: Options) -> float:

@@ -29,6 +29,7 @@ from app.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, check_names, in_range
 from app.tape import Tape
 from app.teleop import Teleop, latch
+from app.watch import Crossing, Watch
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
 DEFAULTS = Options()
@@ -79,7 +80,8 @@ class Session:
         )
         self._inbox: Mailbox[Orders] = Mailbox(self._orders)
         self._outbox: Mailbox[Telemetry] = Mailbox()
-        self._loop = ControlLoop(self._inbox, self._outbox, options.dt)
+        self._watch = Watch()
+        self._loop = ControlLoop(self._inbox, self._outbox, options.dt, self._watch.take)
         self._tape: Tape | None = None
         self._clutched = False
         self.handle = pin.SE3(self.scene.T_base_start)
@@ -99,11 +101,13 @@ class Session:
 
     def start(self) -> None:
         """Start the control thread. The tool holds until the first `drive`."""
+        self._watch.start()
         self._loop.start()
 
     def close(self) -> None:
         """Stop the control thread and wait for it; finish a recording. Safe to call twice."""
         self._loop.close()
+        self._watch.close()
         self._loop.tape = None
         if self._tape is not None:
             self._tape.finish()
@@ -113,6 +117,16 @@ class Session:
         telemetry = self._outbox.get()
         assert telemetry is not None
         return telemetry
+
+    @property
+    def crossing(self) -> Crossing | None:
+        """Where the tip met the mesh since the last reset or change of scene, whatever the rule."""
+        return self._watch.crossing
+
+    @property
+    def unwatched(self) -> int:
+        """Ticks since the start that nobody tested for a crossing; 0 unless something is wrong."""
+        return self._watch.missed
 
     @property
     def clutched(self) -> bool:

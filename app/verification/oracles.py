@@ -166,8 +166,8 @@ def _in_prism(a, b, c, p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _distance(a, b, p, q, r):  # type: ignore[no-untyped-def]
-    """Distance of the segment ab and the triangle pqr, provided that they do not cross."""
+def distance(a, b, p, q, r):  # type: ignore[no-untyped-def]
+    """Distance of the segment ab and the triangle pqr, provided that they do not cross [m]."""
     gap = min(_in_prism(p, q, r, a), _in_prism(p, q, r, b)) ** 2
     gap = min(gap, _segments_distance2(a, b, p, q))
     gap = min(gap, _segments_distance2(a, b, q, r))
@@ -214,7 +214,7 @@ def _count_scrapes(vertices, faces, rows, a, b, room):  # type: ignore[no-untype
     for i in rows:
         f = faces[i]
         p, q, r = vertices[f[0]], vertices[f[1]], vertices[f[2]]
-        if touches(a, b, p, q, r) > 0 or _distance(a, b, p, q, r) < room:
+        if touches(a, b, p, q, r) > 0 or distance(a, b, p, q, r) < room:
             count += 1
     return count
 

@@ -1,10 +1,105 @@
-"""How far a point is from the anatomy, and on which side."""
+"""Where the tool is with respect to the anatomy, found without any plane or rule."""
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 import vf
+from app.meeting import sees
+from app.scene import Scene
+from app.verification.oracles import SCRATCH
+from app.watch import Crossing
+from robots import Arm
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Whereabouts:
+    """The tool tip and the anatomy.
+
+    Attributes:
+        distance: from the tip's centre to the nearest triangle [m], on whichever side it is.
+        tip_radius: of the tip's ball [m].
+        closed: whether the mesh has an inside.
+        inside: whether the tip's centre is inside it.
+        crossing: where the tip met the mesh since it was put where it started; None: it did not.
+        beyond: whether the tip's centre crossed the mesh, is not inside of it, and has triangles
+            between itself and both the place it crossed from and the place it started from: a
+            shell, or an open mesh, of which it is on the far side.
+        from_crossing: from the tip's centre to where it met the mesh [m]; 0 if it did not.
+        shaft_crosses: whether the line of the instrument, from the tip up along the arm, meets the
+            mesh: only the tip is guarded.
+    """
+
+    distance: float
+    tip_radius: float
+    closed: bool
+    inside: bool
+    crossing: Crossing | None
+    beyond: bool
+    from_crossing: float
+    shaft_crosses: bool
+
+    @property
+    def gap(self) -> float:
+        """From the tip's ball to the nearest triangle [m]; negative where they overlap."""
+        return self.distance - self.tip_radius
+
+    @property
+    def overlaps(self) -> bool:
+        """Whether the tip's ball overlaps the mesh, by more than rounding."""
+        return self.tip_radius > 0.0 and self.gap < -SCRATCH
+
+    @property
+    def free(self) -> bool:
+        """Whether the tip is in free space and came there through free space."""
+        return not (self.inside or self.overlaps or self.crossing)
+
+
+def whereabouts(
+    scene: Scene, q: ArrayLike, p_tip: ArrayLike, tip_radius: float, crossing: Crossing | None
+) -> Whereabouts:
+    """Where the tip p_tip (3,) [m] of the arm at joints q (n,) is; base frame."""
+    surface, p = scene.surface, np.asarray(p_tip, dtype=np.float64)
+    inside = surface.inside(p)
+    beyond, length = False, 0.0
+    if crossing is not None:
+        length = float(np.linalg.norm(p - crossing.point))
+        near = (crossing.before, np.asarray(scene.T_base_start.translation))
+        beyond = crossing.centre and not inside and not any(sees(surface, p, y) for y in near)
+    return Whereabouts(
+        distance=surface.nearest(p)[0],
+        tip_radius=tip_radius,
+        closed=surface.closed,
+        inside=inside,
+        crossing=crossing,
+        beyond=beyond,
+        from_crossing=length,
+        shaft_crosses=not free_line(surface, shaft(scene.arm, q, p)),
+    )
+
+
+def shaft(arm: Arm, q: ArrayLike, p_tip: FloatArray) -> FloatArray:
+    """The line (k, 3) [m] of an arm at joints q (n,): from its tip through the joints to its base.
+
+    A joint whose body is not drawn, or that is where the one before it is, adds no point.
+    """
+    places = {body.frame: row[4:] for body, row in zip(arm.bodies, arm.placements(q), strict=True)}
+    line = [np.asarray(p_tip, dtype=np.float64)]
+    for joint in reversed(arm.joints):
+        place = places.get(joint)
+        if place is not None and np.linalg.norm(place - line[-1]) > 1e-6:
+            line.append(place)
+    return np.array(line)
+
+
+def free_line(surface: vf.Surface, line: FloatArray) -> bool:
+    """Whether no piece of a line (k, 3) [m] meets the mesh."""
+    return all(sees(surface, line[k], line[k + 1]) for k in range(len(line) - 1))
 
 
 def signed_distance(surface: vf.Surface, p_base: ArrayLike) -> float:

@@ -25,7 +25,8 @@ from app.view import camera, guard, readouts, style, who
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
 from app.view.corridor import CorridorControl
-from app.view.depth import signed_distance
+from app.view.crossing import CrossingMark
+from app.view.depth import Whereabouts, whereabouts
 from app.view.escape import Escape
 from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
@@ -43,6 +44,7 @@ from app.view.section import Section
 from app.view.signals import Signals
 from app.view.tool import Tool
 from app.view.views import Views
+from app.watch import Crossing
 
 log = logging.getLogger(__name__)
 
@@ -106,6 +108,7 @@ class Page:
         self._arm = ArmDrawing(api)
         self._fixture = FixtureDrawing(api)
         self._tool = Tool(api)
+        self._crossing = CrossingMark(api)
         self._proxy = Proxy(api, session.handle)
         self._hand = Hand(session, server, self._proxy, self._tell)
         self._following = camera.Following()
@@ -260,6 +263,7 @@ class Page:
             holder = self._hand.name_of_owner if owner is not None and len(clients) > 1 else ""
             handle = self._handle(telemetry) if live else None
             self._proxy.update(handle, telemetry.target, tip.translation, holder)
+            self._crossing.update(self._crossing_of(scene) if live else None)
             self._following.update(clients, np.array(tip.translation))
             self._section.update(scene, clients, np.array(tip.translation))
             for client in clients.values():
@@ -272,6 +276,11 @@ class Page:
         if telemetry.autopilot and telemetry.target is not None:
             return telemetry.target
         return self._session.handle
+
+    def _crossing_of(self, scene: Scene) -> Crossing | None:
+        """Where the session's tip crossed the mesh that is drawn."""
+        crossing = self._session.crossing
+        return crossing if crossing is not None and crossing.scene == scene.version else None
 
     def _adopt(self, scene: Scene) -> None:
         """Draw another scene, and look at it."""
@@ -293,12 +302,13 @@ class Page:
         scene, options, telemetry = shown.scene, shown.options, shown.telemetry
         step = telemetry.step
         joints = tuple(scene.arm.joints)
-        in_sphere, speed, signed = 0, 0.0, None
+        in_sphere, speed = 0, 0.0
+        where: Whereabouts | None = None
         if step is not None and telemetry.scene == scene.version:
             p_tip = np.array(step.tip.translation)
             in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
-            if options.rule == "off":
-                signed = signed_distance(scene.surface, p_tip)
+            crossing = self._crossing_of(scene) if self._screen.live else None
+            where = whereabouts(scene, telemetry.q, p_tip, options.tip_radius, crossing)
             before = self._before
             if before is not None and self._tip_before is not None:
                 elapsed = telemetry.time - before.time
@@ -310,7 +320,8 @@ class Page:
             self._newest, self._newest_since = telemetry, now
         self._count += 1
         silent = now - self._newest_since
-        extras = readouts.Extras(in_sphere, speed, joints, silent, self._count, signed)
+        unwatched = self._session.unwatched
+        extras = readouts.Extras(in_sphere, speed, joints, silent, self._count, where, unwatched)
         if self._screen.live:
             banner = readouts.banner(telemetry, options, extras, self._session.clutched)
         else:

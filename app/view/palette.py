@@ -34,6 +34,7 @@ PROXY: Rgb = (110, 70, 150)
 FORCE = VERMILION
 BLOCKING = VERMILION  # the plane that holds the tool back most
 PROBE = YELLOW
+ALARM: Rgb = (200, 0, 30)  # the tip crossed the mesh
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ import vf
 from app.messages import Telemetry
 from app.settings import Options
 from app.view import palette
+from app.view.depth import Whereabouts
 from app.view.fixture import LEANING
+from app.watch import Crossing
 
 _HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
 _NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
@@ -43,7 +45,8 @@ class Extras:
         joints: names of the arm's joints.
         silent: for how long the control loop has said nothing new [s].
         count: of the read-outs so far; makes each one's HTML another.
-        signed: distance of the tip to the surface, negative inside, if no fixture measures it [m].
+        where: the tip and the anatomy; None: no tick yet.
+        unwatched: ticks that nobody tested for a crossing.
     """
 
     in_sphere: int
@@ -51,7 +54,8 @@ class Extras:
     joints: tuple[str, ...]
     silent: float = 0.0
     count: int = 0
-    signed: float | None = None
+    where: Whereabouts | None = None
+    unwatched: int = 0
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -61,15 +65,8 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
     if step is None:
         rows.append(_row("waiting for the first tick", ""))
     else:
-        beyond = not np.isfinite(step.distance)
-        distance = f"> {step.radius * 1e3:.2f}" if beyond else f"{step.distance * 1e3:.3f}"
-        depth = "–"  # the fixture keeps the tool out
-        if extras.signed is not None:
-            distance = f"{abs(extras.signed) * 1e3:.3f}"
-            depth = f"{max(-extras.signed, 0.0) * 1e3:.3f}"
         rows += [
-            _row("distance to surface", distance, "mm"),
-            _row("depth below surface", depth, "mm"),
+            *_sides(extras),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
             _row("simulated force", f"{np.linalg.norm(step.force):.2f}", "N"),
@@ -110,8 +107,19 @@ def _table(rows: list[str], mark: str) -> str:
 
 
 def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: bool) -> str:
-    """One coloured line on what the operator must know now; a calm one if there is nothing."""
-    return _line(*_state(telemetry, options, extras, clutched))
+    """What the operator must know now, in colour; a calm line if there is nothing.
+
+    A crossing stands above everything else until it is history.
+    """
+    text, color = _state(telemetry, options, extras, clutched)
+    where = extras.where
+    if where is None:
+        return _line(text, color)
+    if where.crossing is not None:
+        return _line(text, palette.css(palette.ALARM), _latch(where, where.crossing))
+    if where.shaft_crosses:
+        return _line(text, color, remark="The shaft is in the mesh: only the tip is guarded.")
+    return _line(text, color)
 
 
 def note(text: str) -> str:
@@ -119,13 +127,64 @@ def note(text: str) -> str:
     return _line(text, palette.css(palette.BLUE))
 
 
-def _line(text: str, color: str) -> str:
+def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
+    parts = [html.escape(text)]
+    if latch:
+        parts.insert(0, f"<b style='color:{color}'>{html.escape(latch)}</b>")
+    if remark:
+        orange = palette.css(palette.ORANGE)
+        parts.append(f"<span style='border-bottom:2px solid {orange}'>{html.escape(remark)}</span>")
     return (
         f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
         "background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px;line-height:1.35;"
-        # Always two lines high, so that no button moves from under the mouse.
-        f"min-height:calc(2.7em + 6px)'>{html.escape(text)}</div>"
+        # Always three lines high, so that no button moves from under the mouse.
+        f"min-height:calc(4.05em + 6px)'>{'<br>'.join(parts)}</div>"
     )
+
+
+def _latch(where: Whereabouts, crossing: Crossing) -> str:
+    """What happened, where the tool is now, and what to do."""
+    what = "Crossed" if crossing.centre else "Touched by the tip’s ball"
+    if where.inside:
+        now = f"{where.distance * 1e3:.2f} mm deep in the anatomy: Reset."
+    elif where.beyond:
+        now = f"On the far side, {where.from_crossing * 1e3:.2f} mm from there: Reset."
+    elif where.overlaps:
+        now = f"The tip’s ball overlaps the mesh by {-where.gap * 1e3:.2f} mm: Reset."
+    else:
+        now = "Back on the near side; Reset clears this."
+    return (
+        f"{what} at tick {crossing.tick:,}, triangle #{crossing.triangle:,} "
+        f"(rule {crossing.rule}). {now}"
+    )
+
+
+def _sides(extras: Extras) -> list[str]:
+    """Distance, depth and crossings, whatever the rule."""
+    where = extras.where
+    if where is None:
+        return [_row("distance to surface", "–", "mm"), _row("depth below surface", "–", "mm")]
+    distance = f"{where.distance * 1e3:.3f}"
+    if where.tip_radius > 0.0:
+        rows = [
+            _row("tip’s centre to surface", distance, "mm"),
+            _row("tip’s ball to surface", f"{where.gap * 1e3:.3f}", "mm"),
+        ]
+    else:
+        rows = [_row("distance to surface", distance, "mm")]
+    if where.beyond:
+        rows.append(_row("depth below crossing", f"{where.from_crossing * 1e3:.3f}", "mm"))
+    else:
+        outside = "0.000" if where.closed else "–"  # an open mesh has no inside
+        rows.append(_row("depth below surface", distance if where.inside else outside, "mm"))
+    seen, name = "none", "crossing"
+    if where.crossing is not None:
+        name = "crossing" if where.crossing.centre else "touch"
+        seen = f"tick {where.crossing.tick:,}"
+    if extras.unwatched:
+        seen += f"; {extras.unwatched:,} ticks unseen"
+    rows.append(_row(name, seen))
+    return rows
 
 
 def legend() -> str:
@@ -169,19 +228,22 @@ def _state(
     calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
     if extras.silent > SILENCE:
         return f"The control loop has been silent for {extras.silent:.0f} s.", red
-    inside = step is not None and step.status == vf.Status.INSIDE
+    where = extras.where
+    inside = where is not None and where.inside
     if telemetry.paused:
-        where = "The tool is inside the anatomy. " if inside else ""
-        return f"Paused. {where}Run, or step tick by tick.", orange
+        place = "The tool is inside the anatomy. " if inside else ""
+        return f"Paused. {place}Run, or step tick by tick.", orange
     if telemetry.stale:
         return "Stale: contact to the dragging hand is lost, the tool holds.", red
-    if inside:
+    if step is not None and step.status == vf.Status.INSIDE:
         return "Inside the anatomy: only motion towards the outside passes.", red
     if step is not None and step.status == vf.Status.REFUSED:
         return "Refused: the proxy is not usable, the tool holds.", red
     if clutched:
         return "Clutched: the handle moves alone, the tool holds.", orange
     if telemetry.target is None and not telemetry.autopilot:
+        if inside:
+            return "The tool rests inside the anatomy: drag the gizmo, or Reset.", red
         return "Ready: drag the gizmo.", calm
     if step is None:
         return "Starting …", calm
@@ -195,15 +257,23 @@ def _state(
     if at_limit:
         return f"Joint limit: {', '.join(at_limit)}.", orange
     if options.rule == "off":
-        if extras.signed is not None and extras.signed < 0.0:
-            return f"No fixture (rule off): {-extras.signed * 1e3:.2f} mm deep in the anatomy.", red
         return "No fixture (rule off): the tool follows the proxy through bone.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > LEANING).any()):
         n = int((step.multipliers > LEANING).sum())
         return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}).", busy
-    return ("Autopilot: a scripted proxy is moving." if telemetry.autopilot else "Free."), calm
+    if step.status == vf.Status.SHORTENED:
+        return "Only a part of the step was safe.", busy
+    if inside:
+        return "Inside the anatomy, and no plane holds the tool back.", red
+    if where is not None and where.overlaps:
+        return f"The tip’s ball overlaps the mesh by {-where.gap * 1e3:.2f} mm.", orange
+    if telemetry.autopilot:
+        return "Autopilot: a scripted proxy is moving.", calm
+    if where is not None and not where.free:
+        return "No plane holds the tool back.", calm
+    return "Free.", calm
 
 
 def _by_condition(step: vf.Step) -> list[str]:

@@ -16,6 +16,7 @@ from app.messages import LoopStats, Telemetry
 from app.session import Session
 from app.settings import Options
 from app.view import palette, readouts
+from app.view.depth import whereabouts
 from vf.qp import Solver
 
 Wait = Callable[..., None]
@@ -38,7 +39,13 @@ def session(running: Session, wait_until: Wait) -> Session:
 
 
 def extras(session: Session, **changes: Any) -> readouts.Extras:
-    return replace(readouts.Extras(0, 0.0, tuple(session.scene.arm.joints)), **changes)
+    telemetry, where = session.latest(), None
+    if telemetry.step is not None:
+        p_tip = telemetry.step.tip.translation
+        radius = session.options.tip_radius
+        where = whereabouts(session.scene, telemetry.q, p_tip, radius, session.crossing)
+    made = readouts.Extras(0, 0.0, tuple(session.scene.arm.joints), where=where)
+    return replace(made, **changes)
 
 
 def text(html: str) -> str:

@@ -1,0 +1,39 @@
+"""Layer: where the tool's tip crossed the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from app.view import palette
+from app.view.units import to_view
+from app.watch import Crossing
+
+
+class CrossingMark:
+    """A dot and a label at the first crossing, until the tool is reset or the scene is changed."""
+
+    def __init__(self, api: viser.SceneApi) -> None:
+        self._dot = api.add_point_cloud(
+            "/crossing/dot",
+            points=np.zeros((1, 3), dtype=np.float32),
+            colors=np.array([palette.ALARM], dtype=np.uint8),
+            point_size=0.1,
+            point_shape="circle",
+            visible=False,
+        )
+        self._label = api.add_label(
+            "/crossing/label", "", anchor="top-right", font_screen_scale=0.8, visible=False
+        )
+        self._shown: Crossing | None = None
+
+    def update(self, crossing: Crossing | None) -> None:
+        """Show this crossing; None: there is none."""
+        if crossing is self._shown:
+            return
+        self._shown = crossing
+        self._dot.visible = self._label.visible = crossing is not None
+        if crossing is not None:
+            self._dot.position = self._label.position = to_view(crossing.point)
+            what = "crossed" if crossing.centre else "touched"
+            self._label.text = f"✕ {what} at tick {crossing.tick:,}"
