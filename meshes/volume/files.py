@@ -9,7 +9,7 @@ from pathlib import Path
 
 from meshes.errors import MeshError
 from meshes.volume import dicom, metaimage, nifti, nrrd
-from meshes.volume.grid import Stored, Volume, checked
+from meshes.volume.grid import Stored, Volume, checked, printable
 from meshes.volume.payload import head
 
 FORMATS = (
@@ -42,11 +42,11 @@ def read(
         say("reading the volume")
         found = checked(_stored(file, volume), file.name)
     except MeshError as error:
-        raise MeshError(f"{file}: {error}") from None
+        raise MeshError(f"{file}: {printable(str(error))}") from None
     except OSError as error:
         raise MeshError(f"{file}: cannot be read ({error.strerror or error})") from None
-    # Whatever else a header makes the readers raise, the header is what is wrong.
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    # Whatever else a damaged header makes the readers raise, the header is what is wrong.
+    except Exception as error:
         raise MeshError(f"{file}: is damaged: its header makes no sense") from error
     for note in found.notes:
         warnings.warn(f"{file.name}: {note}", stacklevel=2)

@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 
 MOST_VOXELS = 400_000_000
 MOST_BYTES = 4_000_000_000  # of voxels in one file, inflated
+SLAB = 2_000_000  # voxels looked at together
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 GUESS = (
     "{} does not say how the patient lies in it: left and right are a guess, "
@@ -56,6 +57,45 @@ class Stored:
     frame: str | None
     notes: tuple[str, ...] = ()
     names: tuple[tuple[int, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What values a volume has.
+
+    Attributes:
+        low, high: the least and the greatest finite value.
+        count: of finite values.
+        below: whether some are NaN or minus infinity.
+        above: whether some are infinity.
+    """
+
+    low: float
+    high: float
+    count: int
+    below: bool
+    above: bool
+
+
+def planes_at_once(values: NDArray[Any]) -> int:
+    """So many of its first index are some `SLAB` voxels."""
+    return max(1, SLAB // (values.shape[1] * values.shape[2]))
+
+
+def extent(values: NDArray[Any]) -> Extent:
+    """What values a volume ``(i, j, k)`` has."""
+    low, high, count, below, above = np.inf, -np.inf, 0, False, False
+    step = values.shape[0] if values.dtype.kind != "f" else planes_at_once(values)
+    for first in range(0, values.shape[0], step):
+        part = values[first : first + step]
+        if part.dtype.kind == "f" and not (finite := np.isfinite(part)).all():
+            above |= bool((part == np.inf).any())
+            below |= bool((np.isnan(part) | (part == -np.inf)).any())
+            part = part[finite]
+        count += part.size
+        if part.size:
+            low, high = min(low, float(part.min())), max(high, float(part.max()))
+    return Extent(low, high, count, below, above)
 
 
 def checked(stored: Stored, name: str) -> Volume:
@@ -145,6 +185,11 @@ def library(name: str) -> ModuleType:
             f"{name.partition('.')[0]} is not installed: this needs the extra 'volume' "
             "(pip install 'vf-sandbox[volume]')"
         ) from error
+
+
+def printable(text: str) -> str:
+    """A text out of a file, on one line and without what would steer a terminal."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _times(shape: tuple[int, ...]) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.errors import MeshError
-from meshes.volume.grid import Volume
+from meshes.volume.grid import Volume, extent, planes_at_once
 
 MIDDLE = 0.5  # the level at which `one_label` has its surface
 _MOST_LABELS = 500  # a volume of more different values is taken for an image
@@ -27,23 +30,41 @@ def one_label(volume: Volume, label: int) -> Volume:
 
 
 def told(volume: Volume) -> str:
-    """The range of a volume's values, and the labels that they may be, with numbers of voxels."""
-    values = volume.values
-    known = values[np.isfinite(values)]
-    if len(known) == 0:
+    """The range of a volume's values, and the labels that they may be: names, numbers of voxels."""
+    values, known = volume.values, extent(volume.values)
+    if known.count == 0:
         return "no voxel has a finite value"
-    text = f"its values run from {known.min():g} to {known.max():g}"
-    # Whole numbers may stand in floating point: some programs write nothing else.
-    if values.dtype.kind == "f" and not (len(known) == values.size and (known % 1 == 0).all()):
-        return text
-    labels, counts = np.unique(known, return_counts=True)
-    if len(labels) > _MOST_LABELS:
+    text = f"its values run from {known.low:g} to {known.high:g}"
+    counts = _counts(values) if known.count == values.size else None
+    if counts is None:
         return text
     names = dict(volume.names)
     parts = []
-    for label, count in zip(labels.tolist(), counts.tolist(), strict=True):
-        if label != 0:
-            name = names.get(int(label))
-            parts.append(f"{int(label)}{f' {name}' if name else ''} ({count:,} voxels)")
+    for label in sorted(counts):
+        name = f" {names[label]}" if label in names else ""
+        parts.append(f"{label}{name} ({counts[label]:,} voxels)")
     more = f" and {len(parts) - _MOST_TOLD} more" if len(parts) > _MOST_TOLD else ""
     return f"{text}; as labels: {', '.join(parts[:_MOST_TOLD]) or 'none'}{more}"
+
+
+def _counts(values: NDArray[Any]) -> Counter[int] | None:
+    """How many voxels have each label but 0; None for an image."""
+    counts: Counter[int] = Counter()
+    step = planes_at_once(values)
+    for first in range(0, values.shape[0], step):
+        part = values[first : first + step].ravel()
+        # Whole numbers may stand in floating point: some programs write nothing else.
+        if part.dtype.kind == "f" and (part != np.floor(part)).any():
+            return None
+        if part.dtype.itemsize <= 2 and part.dtype.kind in "iu":  # much quicker than sorting
+            low = int(part.min())
+            found = np.bincount(part.astype(np.int64) - low)
+            labels = np.flatnonzero(found)
+            found, labels = found[labels], labels + low
+        else:
+            labels, found = np.unique(part, return_counts=True)
+        counts.update(dict(zip(map(int, labels), map(int, found), strict=True)))
+        if len(counts) > _MOST_LABELS:
+            return None
+    del counts[0]
+    return counts

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.errors import MeshError
-from meshes.volume.grid import GUESS, FloatArray, Stored, one_of
+from meshes.volume.grid import GUESS, FloatArray, Stored, one_of, printable
 from meshes.volume.payload import voxels, written_out
 
 _MOST_HEADER = 4 << 20  # [bytes]
@@ -218,5 +218,5 @@ def _names(keys: dict[str, str], layer: int) -> tuple[tuple[int, str], ...]:
         if match := re.fullmatch(r"(Segment\d+)_LabelValue", key):
             part = match[1]
             if int(keys.get(f"{part}_Layer", 0)) == layer and keys.get(f"{part}_Name"):
-                found.append((int(value), keys[f"{part}_Name"]))
+                found.append((int(value), printable(keys[f"{part}_Name"])))
     return tuple(found)

@@ -121,6 +121,8 @@ def voxels(
             f"its header promises {promised / 1e9:,.1f} GB of voxels, "
             f"more than the {MOST_BYTES / 1e9:g} GB allowed"
         )
+    if min(start, inner) < 0 or start > file.stat().st_size:
+        raise MeshError(f"its header puts its voxels at byte {start + inner:,}, which is not there")
     first, length = (0, promised) if interleaved else (volume * each, each)
     first += inner
     found = np.empty(length, dtype=np.uint8)

@@ -13,12 +13,11 @@ from meshes.errors import MeshError
 from meshes.shapes import Arrays
 from meshes.topology import topology
 from meshes.volume.cubes import triangles
-from meshes.volume.grid import FloatArray, Volume
+from meshes.volume.grid import FloatArray, Volume, extent, planes_at_once
 
 IntArray = NDArray[np.int64]
 
-MOST_TRIANGLES = 20_000_000
-_SLAB = 2_000_000  # voxels looked at together
+MOST_TRIANGLES = 10_000_000
 # Vertices keep this share of the voxels' distance from the voxels: where a value is the level
 # itself, triangles keep an area that single precision can hold.
 _CLEAR = 1e-3
@@ -92,22 +91,15 @@ def surface(
 
 def _finite(volume: Volume, level: float) -> tuple[NDArray[Any], float, float]:
     """The values, what counts for NaN, minus infinity and around, and what for infinity."""
-    values = volume.values
-    low, high, count, below = np.inf, -np.inf, 0, False
-    for first in range(0, values.shape[0], _planes(values)):
-        part = values[first : first + _planes(values)]
-        here = part[np.isfinite(part)]
-        count += len(here)
-        if len(here):
-            low, high = min(low, float(here.min())), max(high, float(here.max()))
-        below |= bool((np.isnan(part) | (part == -np.inf)).any())
-    if count == 0:
+    values, known = volume.values, extent(volume.values)
+    if known.count == 0:
         raise MeshError(f"{volume.name}: no voxel has a finite value")
+    low, high = known.low, known.high
     if max(abs(low), abs(high)) > _LARGEST_VALUE:
         raise MeshError(f"{volume.name}: its values run from {low:g} to {high:g}: too large")
-    above = count < values.size and bool((values == np.inf).any())
-    if not (low < level or below) or not (level < high or above):
-        not_finite = f", {values.size - count:,} are not finite" if count < values.size else ""
+    if not (low < level or known.below) or not (level < high or known.above):
+        others = values.size - known.count
+        not_finite = f", {others:,} are not finite" if others else ""
         raise MeshError(
             f"{volume.name}: no surface at level {level:g}: "
             f"its values run from {low:g} to {high:g}{not_finite}"
@@ -120,10 +112,6 @@ def _finite(volume: Volume, level: float) -> tuple[NDArray[Any], float, float]:
     )
 
 
-def _planes(values: NDArray[Any]) -> int:
-    return max(1, _SLAB // (values.shape[1] * values.shape[2]))
-
-
 def _replaced(values: NDArray[Any], outside: float, within: float) -> NDArray[Any]:
     if values.dtype.kind != "f":
         return values
@@ -134,7 +122,7 @@ def _slabs(
     values: NDArray[Any], level: np.float64, outside: float, within: float
 ) -> Iterator[tuple[int, FloatArray]]:
     """Heights above the level on a few planes and the next, of the volume and one voxel around."""
-    planes, step = values.shape[0] + 2, _planes(values)
+    planes, step = values.shape[0] + 2, planes_at_once(values)
     for start in range(0, planes - 1, step):
         stop = min(start + step + 1, planes)
         above = np.full((stop - start, values.shape[1] + 2, values.shape[2] + 2), outside - level)

@@ -11,7 +11,7 @@ import volume_files as files
 
 import meshes
 from meshes import volume
-from meshes.volume import surfaces
+from meshes.volume import grid, surfaces
 
 UNIT = np.diag([1e-3, 1e-3, 1e-3, 1.0])  # voxels of 1 mm
 
@@ -153,7 +153,7 @@ def test_a_body_across_the_border_is_closed_and_slabs_join(monkeypatch: pytest.M
     field = files.sphere(files.world_points(T, shape), 18.0).astype(np.float32)
     whole = of(field, 100.0)
     assert_closed(*whole)
-    monkeypatch.setattr(surfaces, "_SLAB", 1)
+    monkeypatch.setattr(grid, "SLAB", 1)
     for mine, one in zip(of(field, 100.0), whole, strict=True):
         np.testing.assert_array_equal(mine, one)
     # Levels that voxels have exactly.

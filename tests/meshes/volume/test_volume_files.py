@@ -296,6 +296,13 @@ def test_refusals_name_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     turned[-6] ^= 1
     (tmp_path / "turned.nii.gz").write_bytes(turned)
     assert "is damaged" in reason(tmp_path / "turned.nii.gz")
+    far = bytearray(files.write_nifti(tmp_path / "far.nii", values, T).read_bytes())
+    far[108:112] = struct.pack("<f", 9e12)
+    (tmp_path / "far.nii").write_bytes(far)
+    assert "which is not there" in reason(tmp_path / "far.nii")
+    strange = files.write_nrrd(tmp_path / "strange.nrrd", values, T).read_bytes()
+    (tmp_path / "strange.nrrd").write_bytes(strange.replace(b"type: double", b"type: \r\x1b[2Jx"))
+    assert all(letter.isprintable() for letter in reason(tmp_path / "strange.nrrd"))
     (tmp_path / "empty.nrrd").write_bytes(b"")
     assert reason(tmp_path / "empty.nrrd").endswith("is empty")
     files.write_nrrd(tmp_path / "skip.nrrd", values, T, extra="byte skip: -1\n")
