@@ -310,6 +310,7 @@ _OPTIONAL = _Kind(_text_or_null, lambda value: value)
 SETTINGS: dict[str, _Kind] = {
     "mesh": _TEXTS,
     "unit": _OPTIONAL,
+    "frame": _OPTIONAL,
     "at": _Kind(_words(parse_point, '"0,-1cm,-12cm" or "auto"'), _write_point),
     "rotate": _Kind(_words(parse_turn, '"0,0,90"'), _write_turn),
     "up": _TEXTS,

@@ -154,8 +154,12 @@ def anatomy(
         ValueError: unusable mesh or placement, with the reason.
     """
     with _caught_warnings() as caught:
-        mesh = meshes.arrays(options.mesh, unit=options.unit, progress=progress)
+        found = meshes.read(options.mesh, unit=options.unit, frame=options.frame, progress=progress)
+    mesh = found.arrays
     notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
+    notes += found.notes
+    if options.mesh not in meshes.catalogue():
+        notes.append(f"Patient frame: {meshes.told(found.frame)}.")
     if options.damage != "none":
         mesh = damage(options.damage, mesh, options.seed)
         notes.append(f"Damaged on purpose: {options.damage}, seed {options.seed}.")

@@ -18,7 +18,7 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 # The settings that say which mesh, and how it is prepared and placed; they change together.
-MESH = ("mesh", "unit", "at", "rotate", "up", "damage", "seed", "repair", "flip", "path")
+MESH = ("mesh", "unit", "frame", "at", "rotate", "up", "damage", "seed", "repair", "flip", "path")
 
 # What a value may be; the panel clamps to these, the command line refuses what is outside.
 RANGES: dict[str, tuple[float, float]] = {
@@ -200,6 +200,8 @@ class Options:
     """Catalogue name (a wrong one lists them all), or path of an STL, OBJ, PLY, OFF or GLB file."""
     unit: str | None = None
     """Unit of a mesh file: m, mm, cm or in; needed where its size allows mm and m."""
+    frame: str | None = None
+    """Patient frame of a mesh file that does not say it: RAS or LPS. It is told; nothing turns."""
     at: Point = None
     """Where the mesh's own origin goes in the arm's base frame, such as 0,-1cm,-12cm; auto:
     straight under the tip's neutral pose, which for the psm is under the remote centre."""
@@ -290,6 +292,7 @@ def check_names(options: Options) -> None:
     from meshes.damage import kinds
 
     for kind, name, known in (
+        ("frame", (options.frame or meshes.FRAMES[0]).upper(), meshes.FRAMES),
         ("robot", options.robot, tuple(robots.names())),
         ("rule", options.rule, tuple(vf.RULES)),
         ("axis", options.up, meshes.UPS),

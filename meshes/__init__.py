@@ -5,9 +5,9 @@ Everything that comes out of this package is in metres.
 
 from meshes.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.errors import MeshError, UnitGuess
-from meshes.frames import FRAMES
+from meshes.frames import FRAMES, told
 from meshes.health import Finding, Health, health
-from meshes.load import FORMATS, Loaded, arrays, kind, load, read
+from meshes.load import FORMATS, FREESURFER, Loaded, arrays, kind, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.repair import Changes, Repaired, repair
@@ -17,6 +17,7 @@ from meshes.units import UNITS, UnitNeeded
 __all__ = [
     "FORMATS",
     "FRAMES",
+    "FREESURFER",
     "UNITS",
     "UPS",
     "WRITABLE",
@@ -46,5 +47,6 @@ __all__ = [
     "read_path",
     "repair",
     "save",
+    "told",
     "transformed",
 ]

@@ -76,25 +76,20 @@ def check_unpacked(size: int, packed: int) -> None:
         )
 
 
-def allowed_placed(size: int) -> int:
-    """How many triangles so many bytes may place.
-
-    One takes two bytes at the least; what is more than that are repetitions.
-    """
-    return max(PLACED, size // 2)
+def allowed_placed(own: int) -> int:
+    """How many triangles a file may place that holds at most so many of its own."""
+    return max(PLACED, own)
 
 
-def check_placed(triangles: int, size: int) -> None:
-    """Refuse a scene of so many triangles out of ``size`` bytes, before it is built.
+def check_placed(triangles: int, own: int) -> None:
+    """Refuse a scene of so many triangles, before it is built.
 
     Raises:
-        MeshError: more than allowed.
+        MeshError: more than `allowed_placed`: it repeats what it has.
     """
-    allowed = allowed_placed(size)
+    allowed = allowed_placed(own)
     if triangles > allowed:
-        raise MeshError(
-            f"places {triangles:,} triangles, more than the {allowed:,} allowed of {size:,} bytes"
-        )
+        raise MeshError(f"places {triangles:,} triangles, more than the {allowed:,} allowed")
 
 
 def cut_off(promised: str, found: str = "") -> MeshError:

@@ -62,6 +62,24 @@ def agreed(said: str | None, found: str | None) -> str | None:
     return said or found
 
 
+def turned(
+    points: NDArray[np.float64], frame: str | None, wanted: str | None
+) -> tuple[NDArray[np.float64], str | None]:
+    """Points ``(n, 3)`` of a frame in the wanted one, and the frame they are in then.
+
+    Raises:
+        MeshError: a frame is wanted, but which they are in is not known.
+    """
+    if wanted is None or wanted == frame:
+        return points, frame
+    if frame is None:
+        raise MeshError(
+            f"to write it in {wanted}, its own patient frame has to be known:"
+            f" say --frame {FRAMES[0]} or --frame {FRAMES[1]}"
+        )
+    return half_turn(points), wanted
+
+
 def told(frame: str | None) -> str:
     """A frame in words for the user."""
     if frame == "RAS":

@@ -18,7 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import SIZE_LIMIT, Content, allowed_placed, check_placed, checked, cut_off
+from meshes.content import (
+    PLACED,
+    SIZE_LIMIT,
+    Content,
+    allowed_placed,
+    check_placed,
+    checked,
+    cut_off,
+)
 from meshes.errors import MeshError
 from meshes.polygons import strips
 from meshes.shapes import Arrays
@@ -111,8 +119,9 @@ def _content(header: dict[str, Any], chunk: bytes | None, size: int, folder: Pat
     costs = [[file.cost(primitive) for primitive in mesh["primitives"]] for mesh in meshes]
     totals = [(len(cost), sum(a for a, _ in cost), sum(b for _, b in cost)) for cost in costs]
     parts, triangles, items = (sum(totals[mesh][k] for mesh, _T in placed) for k in range(3))
-    check_placed(triangles, file.size)
-    if items > 4 * allowed_placed(file.size):
+    # A triangle takes two bytes at the least, as the next corner of a strip.
+    check_placed(triangles, file.size // 2)
+    if items > 4 * allowed_placed(file.size // 2):
         raise MeshError(f"claims {items:,} vertices and corners, more than is allowed")
     if parts > MOST_NODES:
         raise MeshError(f"places {parts:,} parts, more than the {MOST_NODES:,} allowed")
@@ -291,6 +300,8 @@ class _File:
         if "bufferView" in accessor:
             values = self._view(accessor["bufferView"], accessor, kind, count, width)
         elif "sparse" in accessor:
+            if count > PLACED:
+                raise MeshError(f"claims {count:,} vertices without data, more than is allowed")
             values = np.zeros((count, width), dtype=kind)
         else:
             raise MeshError("an accessor without data (compressed?): save it without compression")

@@ -57,7 +57,7 @@ def read(data: bytes) -> Content:
             much of something.
     """
     try:
-        model, size = _model(data)
+        model = _model(data)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise MeshError(f"its zip archive is damaged or cut off ({error})") from None
     if model.unit not in _UNITS:
@@ -66,7 +66,7 @@ def read(data: bytes) -> Content:
     known: dict[Key, tuple[int, int]] = {}
     costs = [_cost(model, key, DEPTH, known) for key, _ in model.build]
     triangles, bodies = (sum(cost[k] for cost in costs) for k in range(2))
-    check_placed(triangles, size)
+    check_placed(triangles, sum(len(faces) for _, faces in model.meshes.values()))
     if bodies > MOST_BODIES:
         raise MeshError(f"places {bodies:,} bodies, more than the {MOST_BODIES:,} allowed")
     placed: list[Arrays] = []
@@ -75,8 +75,8 @@ def read(data: bytes) -> Content:
     return Content([checked(v * scale, faces) for v, faces in placed], unit)
 
 
-def _model(data: bytes) -> tuple[_Model, int]:
-    """Everything in the archive's model parts, and how many bytes they unpack to."""
+def _model(data: bytes) -> _Model:
+    """Everything in the archive's model parts."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         parts = {
             "/" + info.filename.lstrip("/"): info
@@ -98,7 +98,7 @@ def _model(data: bytes) -> tuple[_Model, int]:
                 _parse(content, name, model, name == root)
             except KeyError as error:
                 raise MeshError(f"not as 3MF says: {str(error)[:60]} is missing") from None
-    return model, size
+    return model
 
 
 def _parse(content: bytes, part: str, model: _Model, root: bool) -> None:

@@ -185,9 +185,10 @@ class _File:
             """``size`` bytes, from ``start`` of the source on."""
             length = size if raw else -(-size // 3) * 4
             found = source[start : start + length]
-            if len(found) < length:
-                raise cut_off(f"{size:,} bytes of {what}", "fewer")
-            return found if raw else base64_bytes(found)[:size]
+            found = found if raw else base64_bytes(found)[:size]
+            if len(found) < size:
+                raise cut_off(f"{size:,} bytes of {what}", f"{len(found):,}")
+            return found
 
         def width(size: int) -> int:
             return size if raw else -(-size // 3) * 4

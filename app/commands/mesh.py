@@ -20,8 +20,7 @@ from rich.table import Table
 from app.settings import Length, OptionError, Radius, parse_as
 
 if TYPE_CHECKING:
-    from meshes import Health
-    from meshes.shapes import Arrays
+    from meshes import Health, Loaded
 
 SOUND, DEFECTS, USAGE_ERROR = 0, 1, 2
 File = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -39,9 +38,12 @@ class Check:
     Exit code 0: sound; 1: it has defects; 2: it could not be read."""
 
     mesh: File
-    """Path of an STL, OBJ, PLY, OFF, GLB, glTF or 3MF file, or a catalogue name."""
+    """Path of a mesh file (STL, OBJ, PLY, OFF, GLB, glTF, 3MF, VTP, VTK, GIfTI, FreeSurfer; also
+    with .gz), or a catalogue name."""
     unit: str | None = None
     """Unit of the file: m, mm, cm or in; needed where its size allows mm and m."""
+    frame: str | None = None
+    """Patient frame of a file that does not say it: RAS or LPS."""
     json: bool = False
     """Print the report as JSON, with up to 1000 ids of faces, edges or vertices a finding."""
     examine: int = 50_000
@@ -55,11 +57,15 @@ class Repair:
     Exit code 0: written; 1: written, but something could not be mended; 2: nothing written."""
 
     mesh: File
-    """Path of an STL, OBJ, PLY, OFF, GLB, glTF or 3MF file."""
+    """Path of a mesh file of any format that is read."""
     out: File
     """File to write: .stl, .obj, .ply, .off, .glb; in the unit of the file that was read."""
     unit: str | None = None
     """Unit of the file: m, mm, cm or in; needed where its size allows mm and m."""
+    frame: str | None = None
+    """Patient frame of a file that does not say it: RAS or LPS."""
+    write_frame: str | None = None
+    """Turn it into this patient frame, RAS or LPS: half a turn about z where it is in the other."""
     tolerance: Radius = None
     """Vertices that near become one; auto is a millionth of the diagonal."""
     flip: bool = False
@@ -156,16 +162,18 @@ def _check(options: Check) -> int:
         raise OptionError(f"examine must be zero or more, not {options.examine}")
     with _stages() as say:
         say(f"reading {options.mesh}")
-        mesh, _unit, notes = _opened(options.mesh, options.unit)
-        report = meshes.health(*mesh, examine=options.examine, progress=say)
+        found, notes = _opened(options.mesh, options.unit, options.frame)
+        report = meshes.health(*found.arrays, examine=options.examine, progress=say)
     if options.json:
-        print(json.dumps({"mesh": options.mesh, "notes": notes, **report.as_dict()}, indent=1))
+        about = {"mesh": options.mesh, "unit": found.unit, "frame": found.frame, "notes": notes}
+        print(json.dumps({**about, **report.as_dict()}, indent=1))
     else:
-        _print_report(_console(), options.mesh, report)
+        told = "of no patient" if options.mesh in meshes.catalogue() else meshes.told(found.frame)
+        _print_report(_console(), options.mesh, report, told)
     return SOUND if report.sound else DEFECTS
 
 
-def _print_report(console: Console, name: str, report: Health) -> None:
+def _print_report(console: Console, name: str, report: Health, frame: str) -> None:
     def yes(value: bool) -> str:
         return "yes" if value else "no"
 
@@ -176,6 +184,7 @@ def _print_report(console: Console, name: str, report: Health) -> None:
     facts = (
         ("triangles", f"{report.triangles:,} on {report.vertices:,} vertices"),
         ("size", " × ".join(f"{1e3 * side:.4g}" for side in report.extents) + " mm"),
+        ("frame", frame),
         ("edges", f"{least:.3g} … {median:.3g} (median) … {most:.3g} mm"),
         ("pieces", f"{report.components:,}, genus {'–' if report.genus is None else report.genus}"),
         ("watertight", yes(report.watertight)),
@@ -187,7 +196,7 @@ def _print_report(console: Console, name: str, report: Health) -> None:
     )
     console.print(f"[bold]{escape(name)}[/]")
     for title, text in facts:
-        console.print(f"  {title:14} {text}")
+        console.print(f"  {title:14} {text}", soft_wrap=True)
     for finding in report.findings:
         mark = "[red]✗[/]" if finding.defect else "[yellow]![/]"
         first = ", ".join(
@@ -204,25 +213,32 @@ def _print_report(console: Console, name: str, report: Health) -> None:
 
 def _repair(options: Repair) -> int:
     import meshes
+    from meshes import frames
     from meshes.save import check_writable, save
 
     check_writable(options.out, options.overwrite)
+    wanted = frames.chosen(options.write_frame)
     with _stages() as say:
         say(f"reading {options.mesh}")
-        mesh, unit, _notes = _opened(options.mesh, options.unit)
-        result = meshes.repair(*mesh, tolerance=options.tolerance, flip=options.flip, progress=say)
+        found, _notes = _opened(options.mesh, options.unit, options.frame)
+        vertices, frame = frames.turned(found.arrays[0], found.frame, wanted)
+        result = meshes.repair(
+            vertices, found.arrays[1], tolerance=options.tolerance, flip=options.flip, progress=say
+        )
         if len(result.faces) == 0:
             return _complain(f"{options.mesh}: no face has any area, nothing is written")
         say(f"writing {options.out}")
-        save(options.out, *result.arrays, unit=unit, overwrite=options.overwrite)
+        save(options.out, *result.arrays, unit=found.unit, frame=frame, overwrite=options.overwrite)
     console = _console()
     for line in result.changes.lines() or ("nothing to mend",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
     for line in result.changes.left:
         console.print(f"[yellow]![/] left: {escape(line)}", soft_wrap=True)
-    unit_text = "m" if options.out.lower().endswith(".glb") else unit
+    unit_text = "m" if options.out.lower().endswith(".glb") else found.unit
+    frame_text = frame or "patient frame not known"
     console.print(
-        f"written: {escape(options.out)}, {len(result.faces):,} triangles, in {unit_text}",
+        f"written: {escape(options.out)}, {len(result.faces):,} triangles, in {unit_text},"
+        f" {frame_text}",
         soft_wrap=True,
     )
     return DEFECTS if result.changes.left else SOUND
@@ -269,17 +285,17 @@ def _from_volume(options: FromVolume) -> int:
     return SOUND
 
 
-def _opened(name: str, unit: str | None) -> tuple[Arrays, str, list[str]]:
-    """The mesh, its unit, and the loader's warnings, which are also told on stderr."""
+def _opened(name: str, unit: str | None, frame: str | None) -> tuple[Loaded, list[str]]:
+    """The mesh, and what the loader has to say of it, which is also told on stderr."""
     from meshes.load import read
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = read(name, unit=unit)
-    notes = [str(warning.message) for warning in caught]
+        found = read(name, unit=unit, frame=frame)
+    notes = [*(str(warning.message) for warning in caught), *found.notes]
     for note in notes:
         print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
-    return found.arrays, found.unit, notes
+    return found, notes
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from app.view.uploads import Uploads
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"
 GUESS = "guess"
-OWN_UNIT = ("glb", "gltf", "3mf")  # formats that say their unit
+OWN_UNIT = ("glb", "gltf", "3mf", "gii", *meshes.FREESURFER)  # formats that say their unit
 
 
 class MeshTab:
@@ -46,7 +46,7 @@ class MeshTab:
             self._upload = server.gui.add_upload_button(
                 "Bring your own mesh",
                 hint=f"{', '.join(meshes.FORMATS).upper()}; at most {limit / 1e6:,.0f} MB.",
-                mime_type=",".join(f".{kind}" for kind in meshes.FORMATS),
+                mime_type=",".join(f".{kind}" for kind in (*meshes.FORMATS, "gz")),
                 icon=viser.Icon.UPLOAD,
             )
             self._state = server.gui.add_html("")
@@ -99,7 +99,7 @@ class MeshTab:
 
     def _ask(self, client: viser.ClientHandle, path: Path) -> None:
         """Ask the one who sent a file for what it does not say, then use it."""
-        kind = path.suffix[1:].lower()
+        kind = meshes.kind(path.name) or ""
         size = path.stat().st_size
         said = kind in OWN_UNIT
         dialog = client.gui.add_modal("In which unit is this mesh?")

@@ -116,7 +116,7 @@ class Uploads:
 
     def _refusal(self, client_id: int, name: str, size: int, parts: int) -> str | None:
         kinds = ", ".join(f".{kind}" for kind in meshes.FORMATS)
-        if Path(name).suffix[1:].lower() not in meshes.FORMATS:
+        if meshes.kind(name) is None:
             return f"choose a mesh file ({kinds})"
         if not (isinstance(size, int) and isinstance(parts, int)) or size <= 0 or parts <= 0:
             return "the file is empty"

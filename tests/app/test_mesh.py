@@ -126,3 +126,34 @@ def test_list_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
     with pytest.raises(SystemExit) as stop:
         main(["mesh", "check", "--help"])
     assert stop.value.code == 0
+
+
+def test_the_patient_frame_is_said_asked_for_and_turned(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = meshes.arrays("star-prism")
+    silent, out = str(tmp_path / "silent.ply"), tmp_path / "out.stl"
+    save(silent, *mesh, unit="mm")
+    assert main(["mesh", "check", silent, "--unit", "mm"]) == 0
+    assert "3D Slicer would take it as LPS" in capsys.readouterr().out
+    assert main(["mesh", "check", silent, "--unit", "mm", "--frame", "ras", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["frame"] == "RAS"
+    words = ["mesh", "repair", silent, str(out), "--unit", "mm"]
+    assert main([*words, "--write-frame", "lps"]) == 2
+    assert "say --frame RAS or --frame LPS" in capsys.readouterr().err
+    assert not out.exists()
+    assert main([*words, "--frame", "ras", "--write-frame", "lps"]) == 0
+    assert "in mm, LPS" in capsys.readouterr().out
+    turned = meshes.read(out, unit="mm")
+    assert turned.frame == "LPS"
+    corners = mesh[0] * (-1, -1, 1)
+    np.testing.assert_allclose(turned.arrays[0].min(axis=0), corners.min(axis=0), atol=1e-8)
+    np.testing.assert_allclose(turned.arrays[0].max(axis=0), corners.max(axis=0), atol=1e-8)
+    assert main(["mesh", "check", str(out), "--unit", "mm", "--frame", "ras"]) == 2
+    assert "is in LPS, it says so itself" in capsys.readouterr().err
+    # Without a wish nothing is turned, and what the file says stays with it.
+    again = tmp_path / "again.obj"
+    assert main(["mesh", "repair", str(out), str(again), "--unit", "mm"]) == 0
+    kept = meshes.read(again, unit="mm")
+    assert kept.frame == "LPS"
+    np.testing.assert_allclose(kept.arrays[0].max(axis=0), turned.arrays[0].max(axis=0))
