@@ -1,4 +1,4 @@
-"""Closed bodies of a mesh: their volumes, which lies inside which, which are inside out."""
+"""Closed bodies of a mesh: their volumes, what lies inside what, which are inside out."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from meshes import probe
 from meshes.topology import Topology
+from vf import pdtree
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+# What most rays from a body cross an odd number of times is around it, whether it is closed or has
+# holes and fins. Where the first few rays agree about everything, more would not say anything else.
+_FEW, _RAYS = 8, 64
 
 
 @dataclass(frozen=True)
@@ -22,30 +29,144 @@ class Bodies:
         patches: ``(k,)`` their numbers in the `Topology`.
         volumes: ``(k,)`` [m³], negative where the faces look inwards.
         outermost: ``(k,)`` row of the outermost body around each one; its own row if none is.
-        inside_out: ``(k,)`` bodies to be turned: outermost ones with negative volume, and what
-            lies in them. An inner body keeps its winding relative to the outermost one around it:
-            whether it is a cavity or a body of its own is for the file to say.
+        in_open: ``(k,)`` whether that outermost one lies inside a wall that is not closed. Such a
+            wall has a hole, or an edge of more than two faces; what is in it is a cavity or a body
+            of its own, as in a closed one.
+        inside_out: ``(k,)`` bodies to be turned: outermost ones with negative volume that no open
+            wall is around, and what lies in them. An inner body keeps its winding relative to what
+            is around it: whether it is a cavity or a body of its own is for the file to say.
+        along: ``(patches,)`` open patches of the `Topology` that lie in a body to be turned, and
+            turn with it.
+        enclosed: [m³] of all places where the closed bodies' winding numbers do not cancel: their
+            volumes, cavities taken off, and what lies inside twice counted once. Never negative.
     """
 
     patches: IntArray
     volumes: FloatArray
     outermost: IntArray
-    inside_out: NDArray[np.bool_]
+    in_open: Flags
+    inside_out: Flags
+    along: Flags
+    enclosed: float
+
+    @property
+    def turned(self) -> Flags:
+        """``(patches,)`` of the `Topology`: all that is to be turned."""
+        turned = self.along.copy()
+        turned[self.patches] = self.inside_out
+        return turned
 
 
 def bodies(vertices: FloatArray, faces: IntArray, topology: Topology) -> Bodies:
     """The bodies of the mesh ``vertices`` ``(n, 3)`` [m], ``faces`` ``(m, 3)``."""
     patches = np.flatnonzero(topology.closed & ~topology.one_sided)
+    count = len(patches)
     row = np.full(len(topology.closed), -1, dtype=np.int64)
-    row[patches] = np.arange(len(patches))
+    row[patches] = np.arange(count)
     body = row[topology.patches]
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) if len(vertices) else np.zeros(3)
-    volumes = np.zeros(len(patches))
+    volumes = np.zeros(count)
     _volumes(vertices, faces, body, topology.minority, middle, volumes)
-    outermost = np.arange(len(patches))
-    if len(patches) > 1:
-        outermost = _outermost(vertices, faces, body, len(patches))
-    return Bodies(patches, volumes, outermost, volumes[outermost] < 0.0)
+    along = np.zeros(len(topology.closed), dtype=bool)
+    # Each body by itself, and the open parts of each component together, are shells.
+    open_ = body < 0
+    names, number = np.unique(topology.components[open_], return_inverse=True)
+    shells = body.copy()
+    shells[open_] = count + number
+    if count == 0 or count + len(names) == 1:
+        return Bodies(
+            patches, volumes, np.arange(count), np.zeros(count, dtype=bool), volumes < 0.0, along,
+            float(np.abs(volumes).sum()),
+        )  # fmt: skip
+    rays = _Rays(vertices, faces, shells)
+    inner, outer, in_open = rays.around_bodies(count)
+    depth = np.bincount(inner, minlength=count)
+    outermost = np.arange(count)
+    top = depth[outer] == 0
+    outermost[inner[top]] = outer[top]
+    in_open = in_open[outermost]
+    inside_out = (volumes < 0.0)[outermost] & ~in_open
+
+    sign = np.sign(volumes)
+    beyond = np.bincount(inner, weights=sign[outer], minlength=count)
+    enclosed = np.abs(volumes) @ (
+        (beyond + sign != 0.0).astype(float) - (beyond != 0.0).astype(float)
+    )
+    if inside_out.any() and open_.any():
+        loose = np.flatnonzero(~topology.closed)
+        own = np.flatnonzero(inside_out & (outermost == np.arange(count)))
+        along[loose] = rays.inside(loose, topology.patches, own)
+    return Bodies(patches, volumes, outermost, in_open, inside_out, along, float(enclosed))
+
+
+class _Rays:
+    """Rays from faces of a mesh, and which shells they cross."""
+
+    def __init__(self, vertices: FloatArray, faces: IntArray, shells: IntArray) -> None:
+        self._vertices, self._faces = vertices, faces
+        self._shells = shells
+        self._tree = pdtree.build(vertices, faces)
+        turn = np.pi * (1.0 + 5.0**0.5) * np.arange(_RAYS)
+        height = 1.0 - (2.0 * np.arange(_RAYS) + 1.0) / _RAYS
+        # Any run of them is spread over the sphere.
+        order = 29 * np.arange(_RAYS) % _RAYS
+        across = np.sqrt(1.0 - height**2)
+        self._directions = np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
+        self._directions = np.ascontiguousarray(self._directions[order])
+
+    def around_bodies(self, count: int) -> tuple[IntArray, IntArray, Flags]:
+        """Pairs of an inner and an outer body, and the bodies ``(count,)`` in an open wall.
+
+        Those of the shells from ``count`` on are open. One of them may be around a body, or all of
+        them together, as the triangles of an unwelded wall are.
+        """
+        members = np.argsort(self._shells, kind="stable")
+        starts = np.searchsorted(self._shells[members], np.arange(count + 1))
+        inner, outer = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        in_open = np.zeros(count, dtype=bool)
+        asked = np.arange(count)
+        width = int(self._shells.max()) + 2  # the last: all open ones together
+        for rays in (_FEW, _RAYS):
+            votes = np.empty(0, dtype=np.int64)
+            for ray in range(rays):
+                # Other faces each time, evenly over the body.
+                first, size = starts[asked], starts[asked + 1] - starts[asked]
+                chosen = members[first + (size * (ray % _FEW)) // _FEW]
+                pairs = self._crossed(chosen, asked, ray)
+                together = np.bincount(pairs[pairs[:, 1] >= count, 0], minlength=len(asked)) % 2
+                also = np.flatnonzero(together)
+                votes = np.concatenate(
+                    [votes, pairs[:, 0] * width + pairs[:, 1], also * width + width - 1]
+                )
+            keys, times = np.unique(votes, return_counts=True)
+            body, shell = keys // width, keys % width
+            unsure = np.zeros(len(asked), dtype=bool)
+            if rays < _RAYS:
+                unsure[body[times < rays]] = True
+            around = (2 * times > rays) & ~unsure[body]
+            closed = around & (shell < count)
+            inner = np.concatenate([inner, asked[body[closed]]])
+            outer = np.concatenate([outer, shell[closed]])
+            in_open[asked[body[around & (shell >= count)]]] = True
+            asked = asked[unsure]
+        return inner, outer, in_open
+
+    def inside(self, patches: IntArray, of_face: IntArray, bodies: IntArray) -> Flags:
+        """Which of these patches start inside one of these bodies, none of which is in another."""
+        first = np.full(int(of_face.max()) + 1, -1, dtype=np.int64)
+        first[of_face[::-1]] = np.arange(len(of_face))[::-1]
+        votes = np.zeros(len(patches), dtype=np.int64)
+        for ray in range(_FEW + 1):
+            pairs = self._crossed(first[patches], self._shells[first[patches]], ray)
+            pairs = pairs[np.isin(pairs[:, 1], bodies)]
+            votes += np.bincount(pairs[:, 0], minlength=len(patches)) > 0
+        return np.asarray(2 * votes > _FEW + 1)
+
+    def _crossed(self, faces: IntArray, own: IntArray, ray: int) -> IntArray:
+        # From an odd point of the face, so that drawn parts' straight edges are missed.
+        corners = self._vertices[self._faces[faces]]
+        starts = np.einsum("k,nkd->nd", np.array([0.4142, 0.2679, 0.3179]), corners)
+        return probe.crossings(self._tree, self._shells, starts, self._directions[ray], own)
 
 
 @njit(cache=True, nogil=True)
@@ -62,58 +183,3 @@ def _volumes(vertices, faces, body, minority, middle, volumes):  # type: ignore[
             + a[2] * (b[0] * c[1] - b[1] * c[0])
         ) / 6.0
         volumes[body[f]] += -det if minority[f] else det
-
-
-def _outermost(vertices: FloatArray, faces: IntArray, body: IntArray, count: int) -> IntArray:
-    """Row of the outermost body around each: parity of a ray from a point of its first face."""
-    first = np.full(count, -1, dtype=np.int64)
-    rows = np.flatnonzero(body >= 0)[::-1]
-    first[body[rows]] = rows
-    # Slanted, and from an odd point of the face, so that drawn parts' straight edges are missed.
-    R, _ = np.linalg.qr(np.array([[0.83, 0.21, 0.37], [-0.11, 0.71, 0.43], [0.29, -0.17, 0.91]]))
-    turned = vertices @ R
-    points = np.einsum("k,nkd->nd", np.array([0.4142, 0.2679, 0.3179]), turned[faces[first]])
-    order = np.argsort(points[:, 0])
-    sorted_points = np.ascontiguousarray(points[order])
-    size = _hits(turned, faces, body, sorted_points, order, np.empty((0, 2), dtype=np.int64))
-    hits = np.empty((size, 2), dtype=np.int64)
-    _hits(turned, faces, body, sorted_points, order, hits)
-    pairs, times = np.unique(hits[:, 0] * count + hits[:, 1], return_counts=True)
-    pairs = pairs[times % 2 == 1]
-    inner, outer = pairs // count, pairs % count
-    depth = np.bincount(inner, minlength=count)
-    result = np.arange(count)
-    top = depth[outer] == 0
-    result[inner[top]] = outer[top]
-    return result
-
-
-@njit(cache=True, nogil=True)
-def _hits(points, faces, body, starts, names, hits):  # type: ignore[no-untyped-def]
-    """(start, body) for each face of another body above a start; counts past the array's end."""
-    found = 0
-    xs = starts[:, 0].copy()
-    for f in range(faces.shape[0]):
-        if body[f] < 0:
-            continue
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        low = min(a[0], min(b[0], c[0]))
-        high = max(a[0], max(b[0], c[0]))
-        for s in range(np.searchsorted(xs, low), xs.shape[0]):
-            if xs[s] > high:
-                break
-            if names[s] == body[f]:
-                continue
-            x, y, z = starts[s, 0], starts[s, 1], starts[s, 2]
-            u = (b[0] - x) * (c[1] - y) - (b[1] - y) * (c[0] - x)
-            v = (c[0] - x) * (a[1] - y) - (c[1] - y) * (a[0] - x)
-            w = (a[0] - x) * (b[1] - y) - (a[1] - y) * (b[0] - x)
-            total = u + v + w
-            if total == 0.0 or not ((u >= 0) == (v >= 0) and (v >= 0) == (w >= 0)):
-                continue
-            if (u * a[2] + v * b[2] + w * c[2]) / total > z:
-                if found < hits.shape[0]:
-                    hits[found, 0] = names[s]
-                    hits[found, 1] = body[f]
-                found += 1
-    return found

@@ -52,8 +52,8 @@ MEANING = {
     "certified rule and the inside test do not ask",
     "one-sided patches": "no winding is right everywhere: only the certified rule guards "
     "both sides",
-    "nested bodies": "a cavity or a body of its own, as its winding says; the inside test follows "
-    "the winding",
+    "nested bodies": "a cavity or a body of its own, as its winding says, also where the wall "
+    "around it has a hole or a fin; the inside test follows the winding",
     "self-intersections": "the inside test counts overlaps twice (still inside); the paper's rule "
     "may leak along the cut, which no edge marks; the certified rule holds",
     "thin walls": "with the paper's rule an error of that size is a way through; the certified "
@@ -96,7 +96,8 @@ class Health:
         consistent: no face is wound against its patch, and no patch is one-sided.
         components: pieces connected across edges.
         genus: handles of all pieces together; None where non-manifold or one-sided.
-        volume: enclosed, cavities taken off; None unless watertight and consistent.
+        volume: enclosed, cavities taken off, whichever way a body is wound (the finding
+            "inside-out bodies" tells); None unless watertight and consistent.
         edge_percentiles: length at each of `PERCENTILES`.
         boundary_lengths: of every boundary loop, longest first.
         wall, wall_face: thinnest wall found and a face on it, or None.
@@ -269,7 +270,7 @@ def health(
             defect=True, n=len(pairs),
         )  # fmt: skip
         outward = normals.copy()
-        outward[proper[_looks_inwards(t, solid)]] *= -1.0
+        outward[proper[t.minority ^ solid.turned[t.patches]]] *= -1.0
         outward[degenerate | slim] = 0.0  # imprecise
         thickness = probe.walls(v, corners, outward, tree, sample)
         if np.isfinite(thickness).any():
@@ -290,7 +291,7 @@ def health(
         components=int(t.components.max(initial=-1)) + 1,
         genus=t.genus,
         area=float(areas[~copies].sum()),
-        volume=float(solid.volumes.sum()) if watertight and consistent else None,
+        volume=solid.enclosed if watertight and consistent else None,
         edge_percentiles=tuple(np.percentile(lengths, PERCENTILES).tolist()),
         boundary_lengths=tuple(np.sort(loop_lengths)[::-1].tolist()),
         wall=wall,
@@ -349,8 +350,8 @@ def _note_edges(
         "flipped faces", proper[t.minority],
         "{n} faces are wound against their surroundings", defect=True,
     )  # fmt: skip
-    # Only outermost ones count: what lies in them follows.
-    own = solid.outermost == np.arange(len(solid.patches))
+    # Only outermost ones count: what lies in them, or in a wall with a hole, follows.
+    own = (solid.outermost == np.arange(len(solid.patches))) & ~solid.in_open
     for kind, which, text, defect in (
         ("inside-out bodies", solid.patches[solid.inside_out & own],
          "{n} closed bodies are inside out", True),
@@ -382,13 +383,6 @@ def _loop_lengths(v: FloatArray, f: IntArray, proper: IntArray, t: Topology) -> 
     lengths = np.linalg.norm(v[ends[:, 0]] - v[ends[:, 1]], axis=1) * (t.mates[t.rim] == -1)
     sums: FloatArray = np.add.reduceat(lengths, t.rim_starts[:-1])
     return sums
-
-
-def _looks_inwards(t: Topology, solid: Bodies) -> NDArray[np.bool_]:
-    """``(proper,)`` faces whose normal is to be turned."""
-    turned = np.zeros(len(t.closed), dtype=bool)
-    turned[solid.patches] = solid.inside_out
-    return t.minority ^ turned[t.patches]
 
 
 def _measured(v: FloatArray, f: IntArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Measuring into a mesh through its PD-tree: faces that cut each other, thickness of walls."""
+"""Measuring into a mesh through its PD-tree: cuts, thickness of walls, what lies inside what."""
 
 from __future__ import annotations
 
@@ -210,3 +210,66 @@ def _ray(c, p, d):  # type: ignore[no-untyped-def]
         return np.inf
     t = (vx * qx + vy * qy + vz * qz) / det
     return t if t > 0.0 else np.inf
+
+
+def crossings(
+    tree: Tree, shells: IntArray, starts: FloatArray, direction: FloatArray, own: IntArray
+) -> IntArray:
+    """Pairs ``(k, 2)`` of a start and a shell that its ray crosses an odd number of times.
+
+    Args:
+        shells: ``(m,)`` the shell that each face of the tree belongs to, from 0; −1: none.
+        starts: ``(n, 3)`` [m], from where rays go along ``direction`` ``(3,)``.
+        own: ``(n,)`` the shell of each start, which its ray does not see.
+    """
+    room = 4 * len(starts) + 64
+    while True:
+        pairs = np.empty((room, 2), dtype=np.int64)
+        count = _crossings(tree, shells, int(shells.max()) + 1, starts, direction, own, pairs)
+        if count <= room:
+            return pairs[:count].copy()
+        room = count
+
+
+@njit(cache=True, nogil=True)
+def _crossings(tree, shells, count, starts, d, own, pairs):  # type: ignore[no-untyped-def]
+    odd = np.zeros(count, dtype=np.bool_)
+    met = np.empty(count, dtype=np.int64)  # every shell once
+    seen = np.full(count, -1, dtype=np.int64)
+    stack = np.empty(STACK, dtype=np.int32)
+    found = 0
+    for s in range(starts.shape[0]):
+        p = starts[s]
+        meetings = 0
+        stack[0] = 0
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            node = stack[depth]
+            if not _meets(tree.nodes[node], p, d, np.inf):
+                continue
+            link = tree.nodes[node, 15]
+            if link > 0.0:
+                first, last = children_of(link)
+                for child in range(first, last):
+                    stack[depth] = child
+                    depth += 1
+                continue
+            first, last = triangles_of(link)
+            for t in range(first, last):
+                shell = shells[tree.order[t]]
+                if shell < 0 or shell == own[s] or not _ray(tree.corners[t], p, d) < np.inf:
+                    continue
+                if seen[shell] != s:
+                    seen[shell] = s
+                    odd[shell] = False
+                    met[meetings] = shell
+                    meetings += 1
+                odd[shell] = not odd[shell]
+        for k in range(meetings):
+            if odd[met[k]]:
+                if found < pairs.shape[0]:
+                    pairs[found, 0] = s
+                    pairs[found, 1] = met[k]
+                found += 1
+    return found

@@ -32,7 +32,7 @@ class Changes:
         unused: vertices dropped because no face uses them.
         flipped: faces turned to agree with their patch.
         turned_bodies: closed bodies turned as a whole, to look outwards.
-        turned_patches: open patches turned as a whole, as asked for.
+        turned_patches: open patches turned as a whole, as asked for or with the body around them.
         left: what could not be mended, a line each.
     """
 
@@ -60,8 +60,8 @@ class Changes:
             (self.duplicates, f"dropped {self.duplicates:,} repeated faces"),
             (self.unused, f"dropped {self.unused:,} vertices that no face uses"),
             (self.flipped, f"turned {self.flipped:,} faces to agree with their surroundings"),
-            (self.turned_bodies, f"turned {self.turned_bodies:,} bodies inside out"),
-            (self.turned_patches, f"turned {self.turned_patches:,} open patches, as asked"),
+            (self.turned_bodies, f"turned {self.turned_bodies:,} closed bodies"),
+            (self.turned_patches, f"turned {self.turned_patches:,} open patches"),
         )  # fmt: skip
         return tuple(text for count, text in told if count)
 
@@ -96,8 +96,9 @@ def repair(
     another face, or are flatter than the tolerance (those only if no pair of neighbours would
     lose an edge by it: a flat face can be the stitch that closes a seam). Faces turn to agree with
     the majority of their patch, closed bodies to look outwards; what lies in a body turns with the
-    outermost around it, so that a cavity stays one. An open patch has no outside to look to:
-    ``flip`` turns every open one, for those who know. No hole is filled, nothing is cut or moved.
+    outermost around it, so that a cavity stays one, also where the wall around it has a hole or a
+    fin. An open patch has no outside to look to: ``flip`` turns every open one, with what lies in
+    them, for those who know. No hole is filled, nothing is cut or moved.
 
     Args:
         tolerance: of the weld [m]; a millionth of the diagonal by default.
@@ -141,12 +142,13 @@ def repair(
     left: list[str] = []
     if t is not None:
         solid = bodies(v, f, t)
-        turned = np.zeros(len(t.closed), dtype=bool)
-        turned[solid.patches] = solid.inside_out
-        flipped, turned_bodies = int(t.minority.sum()), int(solid.inside_out.sum())
+        turned = solid.turned
         if flip:
-            turned |= ~t.closed
-            turned_patches = int((~t.closed).sum())
+            turned ^= ~t.closed
+            turned[solid.patches] |= solid.in_open
+        flipped = int(t.minority.sum())
+        turned_bodies = int(turned[t.closed].sum())
+        turned_patches = int(turned[~t.closed].sum())
         wrong = t.minority ^ turned[t.patches]
         f[wrong] = f[wrong][:, [0, 2, 1]]  # the first corner stays
         left = _left(t, stitches)
