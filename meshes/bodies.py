@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from meshes.topology import Topology
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
