@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from meshes import probe
@@ -17,6 +16,7 @@ from meshes.topology import Topology, topology
 from meshes.weld import first_of_kind, weld
 from vf import Surface, pdtree
 from vf.closest import SLIVER
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from vf.kernels import njit
 from vf.pdtree import STACK, Tree, children_of, triangles_of, within
 
 FloatArray = NDArray[np.float64]

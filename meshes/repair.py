@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.bodies import bodies
@@ -16,6 +15,7 @@ from meshes.topology import Topology, topology
 from meshes.weld import first_of_kind, weld
 from vf import Surface
 from vf.closest import SLIVER
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from vf.kernels import njit
 from vf.surface import edge_keys
 
 FloatArray = NDArray[np.float64]

@@ -1,9 +1,6 @@
-"""What all tests share: how they are spread over two processes, and kernels as they are now."""
+"""What all tests share: how they are spread over two processes."""
 
 from __future__ import annotations
-
-import hashlib
-from pathlib import Path
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling
@@ -23,28 +20,3 @@ class ByFile(LoadScopeScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
     return ByFile(config, log)
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    if not hasattr(config, "workerinput"):
-        _forget_stale_kernels(Path(__file__).parent.parent)
-
-
-def _forget_stale_kernels(root: Path) -> None:
-    """Drop all compiled kernels if the source of any of them has changed.
-
-    Numba looks at the file of the function it compiled, not at those of the functions that were
-    compiled into it: a change of `closest.py` would leave the tree as it was.
-    """
-    packages = [root / name for name in ("vf", "meshes", "app")]
-    sources = [p for package in packages for p in sorted(package.rglob("*.py"))]
-    texts = [text for p in sources if "@njit" in (text := p.read_text())]
-    digest = hashlib.sha256("".join(texts).encode()).hexdigest()
-    note = root / "vf" / "__pycache__" / "kernels.sha256"
-    if note.exists() and note.read_text() == digest:
-        return
-    for package in packages:
-        for index in package.rglob("__pycache__/*.nbi"):
-            index.unlink(missing_ok=True)
-    note.parent.mkdir(exist_ok=True)
-    note.write_text(digest)

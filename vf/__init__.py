@@ -10,6 +10,7 @@ from vf.haptics import force
 from vf.planes import Planes, Rule
 from vf.qp import ConstrainedLeastSquares, Solution, Solver
 from vf.reasons import Across, Cover, Explanation, TriangleReport, Verdict, explain
+from vf.selftest import check_kernels
 from vf.surface import Contacts, Edge, Surface
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "TriangleReport",
     "Verdict",
     "certified_planes",
+    "check_kernels",
     "closest_point",
     "cutting_direction",
     "every_plane",

@@ -6,8 +6,8 @@ from enum import IntEnum
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from vf.kernels import njit
 from vf.planes import FloatArray
 
 

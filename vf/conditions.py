@@ -11,10 +11,10 @@ for all others.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle
+from vf.kernels import njit
 from vf.planes import Planes
 from vf.surface import Surface
 

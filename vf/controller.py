@@ -22,6 +22,7 @@ from vf.planes import FloatArray, Planes
 from vf.problem import JOINT_RANGE
 from vf.qp import ConstrainedLeastSquares, Solver
 from vf.qp_kernels import attempt
+from vf.selftest import check_kernels
 from vf.surface import Surface
 
 # Missing less than this share of the standoff is rounding, not a state to report.
@@ -274,10 +275,14 @@ class Controller:
         self._keeps_side = all(fixture.certified for fixture in self.fixtures)
 
     def warm_up(self) -> None:
-        """Compile (or load from disk) every kernel a tick can meet.
+        """Compile (or load from disk) every kernel a tick can meet, and check known answers.
 
         Takes some 20 s on the first start of an installation, and a fraction of a second later.
+
+        Raises:
+            RuntimeError: a kernel gives a wrong answer on this machine (`vf.check_kernels`).
         """
+        check_kernels()
         q = 0.5 * (self.arm.lower + self.arm.upper)
         T = self.arm.tip(q)
         corners = np.array([[0, 0, -1], [9, 0, -8], [-9, 9, -8], [-9, -9, -8]], dtype=float)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from math import cos, radians
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from vf.cover import VALLEY_ROOM, YIELD, YIELD_SHARE, Buffer
+from vf.kernels import njit
 from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length
 
 BUDGET = 32  # planes at most; a buffer has room for more

@@ -20,10 +20,10 @@ grow, so what is behind a plane when it is met never needs another look.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from vf.closest import closest_on_triangle, distance_error
+from vf.kernels import njit
 from vf.pdtree import (
     EXACT,
     box_distance2,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from vf.kernels import njit
 from vf.planes import FloatArray
 
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from vf.closest import closest_on_triangle, distance2_to_triangle, distance_error
+from vf.kernels import njit
 from vf.planes import FloatArray, IntArray
 
 LEAF = 6

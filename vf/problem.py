@@ -6,9 +6,9 @@ All kernels: what `vf.Controller.step` does between its calls of arm, fixtures a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from vf.haptics import force
+from vf.kernels import njit
 from vf.qp_kernels import attempt, carve
 
 # Reject targets farther than this from the base [m].

@@ -6,7 +6,8 @@ They work in one scratch array, cut up by `carve`: a call from Python pays for e
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from vf.kernels import njit
 
 WORDS = 4  # numbers a row takes in the scratch besides its n coefficients
 NONE = 3  # code of `Solver.INFEASIBLE`

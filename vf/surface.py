@@ -8,10 +8,10 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vf import pdtree
+from vf.kernels import njit
 from vf.pdtree import (
     PATIENCE,
     UNFINISHED,

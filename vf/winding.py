@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from vf.kernels import njit
 from vf.pdtree import STACK, Tree, children_of, triangles_of
 from vf.planes import FloatArray
 

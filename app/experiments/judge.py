@@ -7,11 +7,11 @@ rounding leaves it open, the corridor is the distance from a plane.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from app.verification import exact
 from app.verification.oracles import touches
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 

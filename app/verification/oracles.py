@@ -6,11 +6,11 @@ They take that list from `Surface.within`, which the tests compare with brute fo
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 import vf
 from app.verification import exact
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 

@@ -99,12 +99,12 @@ def test_a_cavity_smaller_than_the_standoff_is_no_more_than_a_walk_may_take() ->
     ball = trimesh.creation.icosphere(4, 3e-4)
     triangles = np.array(ball.triangles) * (1.0 + 0.05 * rng.normal(size=(len(ball.faces), 3, 1)))
     surface = exact.soup(triangles)
-    spent = 0
+    most = 0
     for _ in range(12):
         x = rng.normal(size=3) * 3e-5
         buffer = Buffer(3)
         m, reach = buffer.fill(surface, x, RADIUS, STANDOFF, 0.0)
         assert m <= MOST
-        spent += reach < RADIUS
+        most = max(most, m)
         assert exact.leaking(triangles, buffer.cut(m, reach), x).size == 0
-    assert spent > 3
+    assert most > 10

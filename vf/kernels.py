@@ -1,0 +1,192 @@
+"""Compiled kernels on disk that are what was compiled: sealed, never stale, wherever one can write.
+
+Numba's own files are read as they are: one that is cut short ends every start, one with a flipped
+bit is machine code that gives other planes, and a changed callee is not noticed. Here each file
+begins with a digest of its content, of what the kernel was made from, and of the versions it was
+made with; a file that does not fit is as if it were not there, and is written anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, ModuleType
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core.caching import (
+    CacheImpl,
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    UserProvidedCacheLocator,
+)
+from numba.core.dispatcher import Dispatcher
+
+SEAL = 32  # bytes
+_said: set[str] = set()
+
+
+def njit(cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with this cache."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(**options)(function)
+        if cache:
+            try:
+                dispatcher._cache = _Cache(function)
+            except (RuntimeError, OSError):
+                _say("kernels are compiled anew at every start: no folder for them can be written")
+        return dispatcher
+
+    return compiled
+
+
+def ingredients(function: Callable[..., Any]) -> Iterator[bytes]:
+    """All that a kernel's machine code depends on: its own code, constants, and its callees'.
+
+    Raises:
+        TypeError: it uses something global that is no number, array or kernel of its own.
+    """
+    waiting, seen = [function], {function}
+    while waiting:
+        kernel = waiting.pop()
+        for code in _codes(kernel.__code__):
+            constants = [c for c in code.co_consts if not isinstance(c, CodeType)]
+            yield repr((code.co_code, code.co_names, code.co_varnames, constants)).encode()
+            for name in code.co_names:
+                value = kernel.__globals__.get(name)
+                if isinstance(value, Dispatcher):
+                    if value.py_func not in seen:
+                        seen.add(value.py_func)
+                        waiting.append(value.py_func)
+                elif isinstance(value, np.ndarray):
+                    yield repr((name, value.dtype, value.shape)).encode() + value.tobytes()
+                elif isinstance(value, int | float | str | tuple):
+                    yield repr((name, value)).encode()
+                elif value is not None and not isinstance(value, ModuleType | BuiltinFunctionType):
+                    raise TypeError(f"{kernel.__name__} uses {name}: a kernel may not")
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+class _SealedFiles(IndexDataCacheFile):
+    """The files of one kernel: an index, and one for each kind of arguments."""
+
+    def __init__(self, cache_path: str, filename_base: str, function: Callable[..., Any]) -> None:
+        super().__init__(cache_path, f"{filename_base}.sealed", None)
+        self._function = function
+
+    @cached_property
+    def _origin(self) -> bytes:
+        # Not before the first call: a kernel may call others that are defined after it.
+        versions = (numba.__version__, llvmlite.__version__, numba.config.BOUNDSCHECK)
+        digest = hashlib.blake2b(repr(versions).encode(), digest_size=SEAL)
+        for part in ingredients(self._function):
+            digest.update(part)
+        return digest.digest()
+
+    def _seal(self, name: str, content: bytes) -> bytes:
+        digest = hashlib.blake2b(content, digest_size=SEAL, key=self._origin)
+        digest.update(name.encode())  # so that no file can stand for another
+        return digest.digest()
+
+    def _write(self, path: str, value: object) -> None:
+        content = self._dump(value)
+        with self._open_for_write(path) as file:
+            file.write(self._seal(os.path.basename(path), content) + content)
+
+    def _read(self, path: str) -> Any:
+        """What was written there, or None."""
+        try:
+            data = Path(path).read_bytes()
+        except OSError:
+            return None
+        content = data[SEAL:]
+        if data[:SEAL] != self._seal(os.path.basename(path), content):
+            return None
+        return pickle.loads(content)
+
+    def _load_index(self) -> dict[object, str]:
+        return self._read(self._index_path) or {}
+
+    def _save_index(self, overloads: dict[object, str]) -> None:
+        self._write(self._index_path, overloads)
+
+    def _load_data(self, name: str) -> Any:
+        return self._read(self._data_path(name))
+
+    def _save_data(self, name: str, data: object) -> None:
+        self._write(self._data_path(name), data)
+
+    def save(self, key: object, data: object) -> None:
+        super().save(key, (key, data))
+
+    def load(self, key: object) -> Any:
+        # Two processes that save at once may give two kernels' kinds the same name.
+        found = super().load(key)
+        return found[1] if found is not None and found[0] == key else None
+
+
+class _Temporary(UserProvidedCacheLocator):
+    """Where neither the installation nor the home can be written: a folder of the user's own."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._py_file = file
+        self._lineno = function.__code__.co_firstlineno
+        self._root = Path(tempfile.gettempdir()) / f"vf-kernels-{os.getuid()}"
+        self._cache_path = str(self._root / self.get_suitable_cache_subpath(file))
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> _Temporary | None:
+        try:
+            self = cls(function, file)
+            self._root.mkdir(mode=0o700, exist_ok=True)
+            about = self._root.lstat()
+            # Machine code is loaded from there: nobody else may have a hand in it.
+            if about.st_uid != os.getuid() or about.st_mode & 0o077 or self._root.is_symlink():
+                return None
+            self.ensure_cache_path()
+        except OSError:
+            return None
+        _say(f"compiled kernels are kept in {self._root}: no other folder for them can be written")
+        return self
+
+
+class _Place(CompileResultCacheImpl):
+    _locator_classes = (*CacheImpl._locator_classes, _Temporary)
+
+
+class _Cache(FunctionCache):
+    _impl_class = _Place
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        base = self._impl.filename_base
+        self._cache_file = _SealedFiles(self._cache_path, base, function)
+
+    def save_overload(self, sig: object, data: object) -> None:
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _say(f"a compiled kernel could not be kept: {error}")
+
+
+def _say(what: str) -> None:
+    """A warning, once."""
+    if what not in _said:
+        _said.add(what)
+        warnings.warn(what, RuntimeWarning, stacklevel=4)
