@@ -52,7 +52,8 @@ def site_view(scene: Scene, p_tip: FloatArray) -> View:
 
 def site_half_height(scene: Scene) -> float:
     """Half of what `site_view` shows from top to bottom [m]."""
-    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
+    # A motion sphere of 5 mm is then larger than the gizmo.
+    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.034))
     return max(half_height, 2.0 * _girth(scene))
 
 

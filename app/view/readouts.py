@@ -69,7 +69,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             *_sides(extras),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
-            _row("simulated force", f"{np.linalg.norm(step.force):.2f}", "N"),
+            _force_row(float(np.linalg.norm(step.force))),
             _section("Fixture"),
             _row("rule", options.rule),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
@@ -197,7 +197,7 @@ def legend() -> str:
         (palette.BLOCKING, "<b>ring and arrow</b>: the plane that holds the tool back most"),
         (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
         (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
-        (palette.FORCE, "<b>force</b> on the hand, simulated"),
+        (palette.FORCE, f"<b>{palette.FORCE_NAME}</b> on the hand: arrow, plot and number"),
         (palette.PROBE, "<b>probe</b> of the inspector"),
     ]
     signs += [
@@ -262,7 +262,8 @@ def _state(
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > LEANING).any()):
         n = int((step.multipliers > LEANING).sum())
-        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}).", busy
+        force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
+        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}): {force}.", busy
     if step.status == vf.Status.SHORTENED:
         return "Only a part of the step was safe.", busy
     if inside:
@@ -288,6 +289,15 @@ def _by_condition(step: vf.Step) -> list[str]:
                 f"<td style='{_VALUE}'>{n}</td><td></td></tr>"
             )
     return rows
+
+
+def _force_row(force: float) -> str:
+    color = palette.css(palette.FORCE)
+    return (
+        f"<tr><td style='{_NAME}'>{palette.FORCE_NAME}</td>"
+        f"<td style='{_VALUE};color:{color};font-weight:600'>{force:.2f}</td>"
+        f"<td style='{_UNIT}'>N</td></tr>"
+    )
 
 
 def _error(telemetry: Telemetry) -> str:
