@@ -257,7 +257,7 @@ def _state(
     if at_limit:
         return f"Joint limit: {', '.join(at_limit)}.", orange
     if options.rule == "off":
-        return "No fixture (rule off): the tool follows the proxy through bone.", orange
+        return "No fixture (rule off): nothing stops the tool.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > LEANING).any()):
