@@ -130,7 +130,9 @@ def note(text: str) -> str:
 def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
     parts = [html.escape(text)]
     if latch:
-        parts.insert(0, f"<b style='color:{color}'>{html.escape(latch)}</b>")
+        # White on red on light and dark panels alike.
+        style = f"display:inline-block;padding:0 5px;margin:0 -5px;background:{color};color:#fff"
+        parts.insert(0, f"<b style='{style}'>{html.escape(latch)}</b>")
     if remark:
         orange = palette.css(palette.ORANGE)
         parts.append(f"<span style='border-bottom:2px solid {orange}'>{html.escape(remark)}</span>")
