@@ -20,8 +20,11 @@ FloatArray = NDArray[np.float64]
 SPEED = 0.08  # highest speed of the proxy [m/s]; a surgeon's hand stays below 0.1
 HOVER = 0.006  # height above the surface between actions [m]
 DEPTH = 0.003  # how far below the surface the proxy pokes and slides [m]
+STRIDE = 5e-4  # between the points of a slide [m]
+STEP = 3e-3  # a slide whose height changes by more between two of them is not made [m]
 DWELL = 0.4  # rest at the bottom of a poke [s]
 SPOTS = 4
+REACH = 0.015  # from the start to the farthest of them, sideways: the first view shows it [m]
 _PEAK = 1.875  # peak over mean speed of a minimum-jerk motion
 
 
@@ -116,9 +119,11 @@ def plan(surface: vf.Surface, T_base_tip: pin.SE3) -> Autopilot:
         legs.append(np.array([below, below]))
         here = below
         if index + 1 < len(spots):
-            slide = _slide(surface, spot, spots[index + 1], ceiling) - DEPTH * up
-            legs.append(slide)
-            here = slide[-1]
+            slide = _slide(surface, spot, spots[index + 1], ceiling)
+            # Over an opening the tip would slip through: lift off instead.
+            if slide is not None:
+                legs.append(slide - DEPTH * up)
+                here = legs[-1][-1]
         lifted = np.array([here[0], here[1], here[2] + DEPTH + HOVER])
         legs.append(np.array([here, lifted]))
         here = lifted
@@ -137,7 +142,7 @@ def plan(surface: vf.Surface, T_base_tip: pin.SE3) -> Autopilot:
 def _spots(surface: vf.Surface, start: FloatArray) -> FloatArray:
     """Up to SPOTS points (k, 3) on the upper side, spread around below the start."""
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    reach = min(0.4 * float((high - low)[:2].min()), 0.03)
+    reach = min(0.4 * float((high - low)[:2].min()), REACH)
     ceiling = max(float(high[2]), float(start[2])) + 1e-3
     found = []
     for k in range(24):
@@ -169,19 +174,18 @@ def _below(surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float) ->
     return None  # along a wall: there are better spots
 
 
-def _slide(
-    surface: vf.Surface, a: FloatArray, b: FloatArray, ceiling: float, points: int = 40
-) -> FloatArray:
-    """From a to b along the upper side, (points, 3); straight where there is nothing below."""
+def _slide(surface: vf.Surface, a: FloatArray, b: FloatArray, ceiling: float) -> FloatArray | None:
+    """From a to b along the upper side, (k, 3); None: there is an opening or a step on the way."""
+    points = 2 + int(np.linalg.norm(b - a) / STRIDE)
     line = np.linspace(a, b, points)
     floor = float(surface.vertices[:, 2].min()) - 1e-3
     top = max(ceiling, float(surface.vertices[:, 2].max())) + 1e-3
     for k in range(1, points - 1):
         hit = _below(surface, line[k, :2], top, floor)
-        # Not down into deep holes: the slide would become a dive.
-        if hit is not None and abs(hit[2] - line[k, 2]) < 0.02:
-            line[k] = hit
-    return line
+        if hit is None:
+            return None
+        line[k] = hit
+    return line if np.abs(np.diff(line[:, 2])).max() <= STEP else None
 
 
 def _circle(start: FloatArray, centre: FloatArray, points: int = 73) -> FloatArray:

@@ -51,6 +51,7 @@ _ORBIT = Scenario(
     "orbit, and along its wall to the bottom.",
     Options(mesh="skull", up="y"),
     (_at(1.5, 24, 70, 4), _at(2.5, 24, 58, 4), _at(5.0, 20.5, 41, -16.4)),
+    camera="follow",
 )
 _PLATE = Scenario(
     "thin-plate-both-sides",

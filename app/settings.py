@@ -196,7 +196,7 @@ class Options:
             `check_names` and when the scene is built, since that needs the libraries.
     """
 
-    mesh: str = "skull"
+    mesh: str = "skull-closed"
     """Catalogue name (a wrong one lists them all), or path of an STL, OBJ, PLY, OFF or GLB file."""
     unit: str | None = None
     """Unit of a mesh file: m, mm, cm or in; needed where its size allows mm and m."""

@@ -95,6 +95,10 @@ def _packaged(
     return Entry(name, title, make, source, licence, about, None, key)
 
 
+def _skull_closed() -> Arrays:
+    return skull.skull(closed=True)
+
+
 def _skull_coarse() -> Arrays:
     return skull.skull(skull.COARSE)
 
@@ -112,6 +116,13 @@ def _skull_precut() -> Arrays:
 
 
 _ENTRIES = (
+    _generated(
+        "skull-closed",
+        "Skull cap, closed",
+        _skull_closed,
+        "Skull cap, 2 mm thick, without openings on top that a tool could slip through; 92 k "
+        "triangles.",
+    ),
     _generated(
         "skull",
         "Skull cap",

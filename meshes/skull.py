@@ -4,8 +4,8 @@ Head axes: x to the right, y to the front, z up, origin in the middle of the hea
 millimetres, results in metres. The outer surface is a super-ellipsoid along unit directions with
 bumps and hollows added to its radius (bosses, brow, nose, orbits, temporal fossae) and grooves
 pressed into it (the coronal and lambdoid sutures). The inner surface lies 2 mm inside along the
-outer normals. The cap is open below, at the anterior fontanelle and, unless fused, along the
-sagittal suture. Nothing here is traced from a patient.
+outer normals. The cap is open below and, unless closed, at the anterior fontanelle and (unless
+fused) along the sagittal suture. Nothing here is traced from a patient.
 """
 
 from __future__ import annotations
@@ -38,17 +38,21 @@ _CUT_START, _CUT_LENGTH, _CUT_WIDTH = 10.0, 30.0, 0.6  # [mm] y, arc, width
 _ABOVE = 200.0  # [mm] height of cutting tools, past the crown
 
 
-def skull(segments: int = STANDARD, *, fused: bool = False, precut: bool = False) -> Arrays:
+def skull(
+    segments: int = STANDARD, *, closed: bool = False, fused: bool = False, precut: bool = False
+) -> Arrays:
     """The skull cap: vertices ``(n, 3)`` [m] and outward-wound faces ``(m, 3)``, watertight.
 
     ``segments`` sets the resolution (multiple of four). ``fused`` keeps the sagittal suture closed
-    (craniosynostosis); ``precut`` removes a 0.6 mm slot along :func:`planned_cut`.
+    (craniosynostosis), ``closed`` the fontanelle too: it is then open below alone. ``precut``
+    removes a 0.6 mm slot along :func:`planned_cut`.
     """
     ball = Manifold.sphere(1.0, segments)
     bone = ball.warp_batch(_outer) - ball.warp_batch(_inner)
     bone = bone.trim_by_plane((0.0, 0.30, 1.0), -32.0)
-    bone -= CrossSection([_FONTANELLE]).extrude(_ABOVE)
-    if not fused:
+    if not closed:
+        bone -= CrossSection([_FONTANELLE]).extrude(_ABOVE)
+    if not (closed or fused):
         bone -= CrossSection([_suture_outline()]).extrude(_ABOVE)
     if precut:
         y_end = float(_cut_mm()[-1, 1])

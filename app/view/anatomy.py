@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable
+
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from app.meeting import sees
 from app.scene import Scene
 from app.view import palette
-from app.view.units import to_buffer
+from app.view.units import VIEW_SCALE, to_buffer
 
-TRANSLUCENT = 0.45
+TRANSLUCENT = 0.3
+LINGER = 1.0  # how long the mesh stays translucent once it hides the tip no longer [s]
 
 
 class Anatomy:
-    """The mesh as drawn (possibly decimated), opaque or translucent."""
+    """The mesh as drawn (possibly decimated), opaque or, to be looked through, translucent."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self._api = api
         self._scene: Scene | None = None
         self._mesh: viser.MeshHandle | None = None
         self._visible = True
-        self._translucent = False
+        self._translucent = False  # as the layer switch says
+        self._hides = -np.inf  # when it hid the tip last, monotonic time [s]
+        self._whole = True  # no part of it is cut away
 
     def set_scene(self, scene: Scene) -> None:
         """Draw another mesh in place of the old one."""
         self._scene = scene
+        self._hides = -np.inf
         self.cut(None)
 
     def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
@@ -33,6 +41,7 @@ class Anatomy:
         scene = self._scene
         if scene is None:
             return
+        self._whole = part is None
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
         # A back that nobody sees is a third of the time of a picture without a graphics card.
         fronts_only = scene.fronts_only and part is None
@@ -43,7 +52,7 @@ class Anatomy:
             color=palette.BONE,
             flat_shading=True,
             side="front" if fronts_only else "double",
-            opacity=TRANSLUCENT if self._translucent else None,
+            opacity=self._opacity,
             cast_shadow=False,
             visible=self._visible,
         )
@@ -57,5 +66,30 @@ class Anatomy:
     def set_translucent(self, on: bool) -> None:
         """Let one look through the bone."""
         self._translucent = on
-        if self._mesh is not None:
-            self._mesh.opacity = TRANSLUCENT if on else None
+        self._draw()
+
+    def look_through(self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> None:
+        """Let the tip p_tip (3,) [m] be seen from every eye (3,) in scene units.
+
+        The mesh is one for all clients: it is translucent while it hides the tip from any of them.
+        """
+        scene = self._scene
+        if (
+            scene is not None
+            and self._whole
+            and any(
+                np.isfinite(eye).all() and not sees(scene.surface, eye / VIEW_SCALE, p_tip)
+                for eye in eyes
+            )
+        ):
+            self._hides = time.monotonic()
+        self._draw()
+
+    @property
+    def _opacity(self) -> float | None:
+        hides = time.monotonic() < self._hides + LINGER
+        return TRANSLUCENT if self._translucent or hides else None
+
+    def _draw(self) -> None:
+        if self._mesh is not None and self._mesh.opacity != self._opacity:
+            self._mesh.opacity = self._opacity

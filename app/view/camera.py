@@ -45,14 +45,18 @@ class View:
 
 
 def site_view(scene: Scene, p_tip: FloatArray) -> View:
-    """Wrist, tip, motion sphere and what lies under them: the first sight; p_tip (3,) [m]."""
+    """Wrist, tip, motion sphere and what lies under them: the first sight; p_tip (3,) [m].
+
+    The tip is in the upper half, which a phone held upright leaves free.
+    """
     half_height = site_half_height(scene)
-    return _framing(p_tip - np.array([0.0, 0.0, 0.3 * half_height]), half_height)
+    return _framing(p_tip - np.array([0.0, 0.0, 0.55 * half_height]), half_height)
 
 
 def site_half_height(scene: Scene) -> float:
     """Half of what `site_view` shows from top to bottom [m]."""
-    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.058))
+    # A motion sphere of 5 mm is then larger than the gizmo.
+    half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.034))
     return max(half_height, 2.0 * _girth(scene))
 
 

@@ -54,7 +54,7 @@ class CorridorControl:
         self._api.add_line_segments(
             "/corridor/path",
             points=to_buffer(lines),
-            colors=palette.VERMILION,
+            colors=palette.CORRIDOR,
             thickness=3.0,
             thickness_units="screen",
             visible=path is not None,
@@ -105,7 +105,7 @@ class CorridorControl:
             name,
             vertices=to_buffer(quads.reshape(-1, 3)),
             faces=faces,
-            color=palette.VERMILION,
+            color=palette.CORRIDOR,
             opacity=0.25,
             side="double",
             cast_shadow=False,

@@ -23,7 +23,7 @@ class CrossingMark:
             visible=False,
         )
         self._label = api.add_label(
-            "/crossing/label", "", anchor="top-right", font_screen_scale=0.8, visible=False
+            "/crossing/label", "", anchor="top-left", font_screen_scale=0.8, visible=False
         )
         self._shown: Crossing | None = None
 

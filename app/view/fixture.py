@@ -21,6 +21,7 @@ CLEAR = 12  # of more planes than these only the nearest get a disc and an arrow
 # Opacities of the discs, and those for when what is under them is inspected.
 CALM = (0.3, 0.1)
 STRONG = (0.65, 0.3)
+BLOCKS_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of its disc
 LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
@@ -63,10 +64,13 @@ class FixtureDrawing:
                 receive_shadow=False,
                 visible=False,
             )
-            for name, shape in (("ring", _rim(inner=0.93)), ("arrow", _arrow(0.75, thickness=2.2)))
+            for name, shape in (
+                ("ring", _rim(inner=0.93)),
+                ("arrow", _arrow(BLOCKS_LENGTH, thickness=2.2)),
+            )
         ]
         self._blocks = api.add_label(
-            f"{root}/blocks", "blocks", anchor="center-left", font_screen_scale=0.8, visible=False
+            f"{root}/blocks", "blocks", anchor="bottom-left", font_screen_scale=0.8, visible=False
         )
         self._triangles = {
             rule: api.add_mesh_simple(
@@ -81,6 +85,15 @@ class FixtureDrawing:
             )
             for rule, look in palette.LOOKS.items()
         }
+        # Light and shade fall on the triangles; their edges have the legend's colours as they are.
+        self._edges = api.add_line_segments(
+            f"{root}/edges",
+            points=np.zeros((3 * SLOTS, 2, 3), dtype=np.float32),
+            colors=np.zeros((3 * SLOTS, 2, 3), dtype=np.uint8),
+            thickness=2.5,
+            thickness_units="screen",
+            visible=False,
+        )
         self.show_sphere = True
         self.show_planes = True
         self.show_normals = True
@@ -114,7 +127,7 @@ class FixtureDrawing:
 
     def hide(self) -> None:
         """Take everything away until the next `draw`."""
-        nodes = (self._sphere, self._calm, self._leaning, self._rims, self._normals)
+        nodes = (self._edges, self._sphere, self._calm, self._leaning, self._rims, self._normals)
         for node in (*nodes, *self._blocking, self._blocks, *self._triangles.values()):
             node.visible = False
 
@@ -168,13 +181,14 @@ class FixtureDrawing:
             batch.batched_colors = colors
         if blocks:
             most = int(pushes.argmax())
-            for node in self._blocking:
+            # A hair above the plane's own rim; the arrow clear of the tool, beside the normal.
+            ring = centres[most] + 0.015 * radius * normals[most]
+            foot = ring + 0.8 * radii[most] * _towards_viewer(normals[most][None])[0]
+            for node, place in zip(self._blocking, (ring, foot), strict=True):
                 node.wxyz = wxyzs[most]
-                # A hair above the plane's own rim.
-                node.position = to_view(centres[most] + 0.015 * radius * normals[most])
+                node.position = to_view(place)
                 node.scale = float(scales[most])
-            head = centres[most] + 0.75 * radii[most] * normals[most]
-            self._blocks.position = to_view(head)
+            self._blocks.position = to_view(foot + BLOCKS_LENGTH * radii[most] * normals[most])
             self._blocks.text = f"blocks: takes {1e3 * strongest:.2g} mm off each step"
 
     def _draw_triangles(
@@ -192,6 +206,17 @@ class FixtureDrawing:
                 node.vertices = to_buffer(corners.reshape(-1, 3))
                 node.faces = np.arange(3 * len(mine), dtype=np.uint32).reshape(-1, 3)
             node.visible = visible
+        self._edges.visible = shown and len(chosen) > 0
+        if self._edges.visible:
+            corners = surface.vertices[surface.faces[planes.triangles[chosen]]]  # (k, 3, 3)
+            corners = corners + 1.5 * lift * planes.normals[chosen][:, None, :]
+            ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+            unused = np.tile(ends[-1:, :1], (3 * SLOTS - len(ends), 2, 1))  # without length
+            self._edges.points = to_buffer(np.concatenate([ends, unused]))
+            looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
+            colors = np.zeros((3 * SLOTS, 2, 3), dtype=np.uint8)
+            colors[: len(ends)] = np.repeat(np.array(looks, dtype=np.uint8), 3, axis=0)[:, None, :]
+            self._edges.colors = palette.linear(colors)
 
 
 def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArray[np.intp]:

@@ -21,7 +21,7 @@ LINES = (
     "one is leaned on.",
     "The <b>ball</b> is the motion sphere: one tick moves the tool within it, so only the "
     "triangles it cuts count.",
-    "The <b>red arrow</b> is the force a surgeon’s hand would feel: stiffness × distance from "
+    "The <b>orange arrow</b> is the simulated force on a surgeon’s hand: stiffness × distance from "
     "proxy to tool.",
     "<kbd>J</kbd> <kbd>L</kbd> <kbd>I</kbd> <kbd>K</kbd> <kbd>U</kbd> <kbd>O</kbd> nudge the "
     "proxy left, right, away, near, down, up by 0.1 mm; with <kbd>Shift</kbd> by 1 mm.",

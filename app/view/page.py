@@ -264,6 +264,8 @@ class Page:
             handle = self._handle(telemetry) if live else None
             self._proxy.update(handle, telemetry.target, tip.translation, holder)
             self._crossing.update(self._crossing_of(scene) if live else None)
+            eyes = [np.asarray(client.camera.position) for client in clients.values()]
+            self._anatomy.look_through(eyes, np.array(tip.translation))
             self._following.update(clients, np.array(tip.translation))
             self._section.update(scene, clients, np.array(tip.translation))
             for client in clients.values():

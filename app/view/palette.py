@@ -32,7 +32,9 @@ SPHERE = SKY
 TOOL = BLACK
 PROXY: Rgb = (110, 70, 150)
 FORCE = VERMILION
-BLOCKING = VERMILION  # the plane that holds the tool back most
+FORCE_NAME = "simulated force"
+BLOCKING = BLACK  # the plane that holds the tool back most
+CORRIDOR: Rgb = (115, 65, 25)  # the planned path and the walls along it
 PROBE = YELLOW
 ALARM: Rgb = (200, 0, 30)  # the tip crossed the mesh
 
@@ -52,7 +54,7 @@ LOOKS: dict[vf.Rule, Look] = {
     vf.Rule.VALLEY: Look(GREEN, "Condition 3, valley", "the face continues beyond its edge"),
     vf.Rule.NAIVE: Look(GREY, "no condition", "every face in the sphere, as in rule “all”"),
     vf.Rule.EXIT: Look(YELLOW, "way out", "the tool is inside: only outward motion passes"),
-    vf.Rule.CORRIDOR: Look(VERMILION, "corridor", "a wall along the planned path"),
+    vf.Rule.CORRIDOR: Look(CORRIDOR, "corridor", "a wall along the planned path"),
 }
 
 
@@ -112,7 +114,10 @@ def tinted(color: Rgb, strength: float) -> Rgb:
 
 
 def linear(colors: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Colours (…, 3) of sRGB as intensities, which is what viser takes for instances of a batch."""
+    """Colours (…, 3) of sRGB as intensities: what viser takes where each piece has its own colour.
+
+    Instances of a batch and line segments want these; one colour for a whole node is sRGB.
+    """
     return np.asarray(255.0 * (colors / 255.0) ** 2.2).round().astype(np.uint8)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.view import palette
 from app.view.units import pose_to_view, to_buffer, to_view
 
-GIZMO_SIZE = 95.0  # length of its arrows [px]
+GIZMO_SIZE = 62.0  # length of its arrows [px]
 TAUT = 5e-5  # a shorter tether is not drawn [m]
 
 
@@ -34,7 +34,7 @@ class Proxy:
             "/proxy/gizmo_name",
             "proxy",
             position=position,
-            anchor="top-left",
+            anchor="top-right",
             font_screen_scale=0.8,
         )
         self._ball = api.add_point_cloud(

@@ -69,7 +69,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             *_sides(extras),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
-            _row("simulated force", f"{np.linalg.norm(step.force):.2f}", "N"),
+            _force_row(float(np.linalg.norm(step.force))),
             _section("Fixture"),
             _row("rule", options.rule),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
@@ -130,7 +130,9 @@ def note(text: str) -> str:
 def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
     parts = [html.escape(text)]
     if latch:
-        parts.insert(0, f"<b style='color:{color}'>{html.escape(latch)}</b>")
+        # White on red on light and dark panels alike.
+        style = f"display:inline-block;padding:0 5px;margin:0 -5px;background:{color};color:#fff"
+        parts.insert(0, f"<b style='{style}'>{html.escape(latch)}</b>")
     if remark:
         orange = palette.css(palette.ORANGE)
         parts.append(f"<span style='border-bottom:2px solid {orange}'>{html.escape(remark)}</span>")
@@ -197,7 +199,7 @@ def legend() -> str:
         (palette.BLOCKING, "<b>ring and arrow</b>: the plane that holds the tool back most"),
         (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
         (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
-        (palette.FORCE, "<b>force</b> on the hand, simulated"),
+        (palette.FORCE, f"<b>{palette.FORCE_NAME}</b> on the hand: arrow, plot and number"),
         (palette.PROBE, "<b>probe</b> of the inspector"),
     ]
     signs += [
@@ -257,12 +259,13 @@ def _state(
     if at_limit:
         return f"Joint limit: {', '.join(at_limit)}.", orange
     if options.rule == "off":
-        return "No fixture (rule off): the tool follows the proxy through bone.", orange
+        return "No fixture (rule off): nothing stops the tool.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > LEANING).any()):
         n = int((step.multipliers > LEANING).sum())
-        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}).", busy
+        force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
+        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}): {force}.", busy
     if step.status == vf.Status.SHORTENED:
         return "Only a part of the step was safe.", busy
     if inside:
@@ -288,6 +291,15 @@ def _by_condition(step: vf.Step) -> list[str]:
                 f"<td style='{_VALUE}'>{n}</td><td></td></tr>"
             )
     return rows
+
+
+def _force_row(force: float) -> str:
+    color = palette.css(palette.FORCE)
+    return (
+        f"<tr><td style='{_NAME}'>{palette.FORCE_NAME}</td>"
+        f"<td style='{_VALUE};color:{color};font-weight:600'>{force:.2f}</td>"
+        f"<td style='{_UNIT}'>N</td></tr>"
+    )
 
 
 def _error(telemetry: Telemetry) -> str:

@@ -50,7 +50,7 @@ CONDITIONS = (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY)
 PLOTS = (
     Plot("Tip to surface [mm], inside < 0", (Curve("distance", palette.BLUE),), 1.0),
     Plot("Proxy to tool [mm]", (Curve("error", palette.PROXY),), 1.0),
-    Plot("Simulated force [N]", (Curve("force", palette.FORCE),), 1.0),
+    Plot(f"{palette.FORCE_NAME.capitalize()} [N]", (Curve("force", palette.FORCE),), 1.0),
     Plot(
         "Planes",
         tuple(

@@ -41,7 +41,7 @@ class Tool:
             visible=False,
         )
         self._label = api.add_label(
-            "/tool/force_label", "", anchor="bottom-center", font_screen_scale=0.8, visible=False
+            "/tool/force_label", "", anchor="bottom-right", font_screen_scale=0.8, visible=False
         )
         self._show_force = True
 
@@ -67,6 +67,6 @@ class Tool:
             self._arrow.points = to_buffer(np.array([[[0.0, 0.0, 0.0], arrow]]))
             self._arrow.position = to_view(foot)
             self._label.position = to_view(foot + arrow)
-            self._label.text = f"simulated force {strength:.1f} N"
+            self._label.text = f"{palette.FORCE_NAME} {strength:.1f} N"
         self._arrow.visible = drawn
         self._label.visible = drawn

@@ -112,4 +112,4 @@ class Trail:
         shades = np.zeros((LENGTH, 2, 3), dtype=np.uint8)
         shades[:n] = colors(self.path.distances[:n].ravel()).reshape(n, 2, 3)
         self._node.points = to_buffer(points)
-        self._node.colors = shades
+        self._node.colors = palette.linear(shades)

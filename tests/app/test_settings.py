@@ -59,7 +59,7 @@ def test_auto_is_a_radius() -> None:
 
 def test_the_command_line_defaults_are_the_options_defaults() -> None:
     assert parse([], "") == Options()
-    assert (Options().mesh, Options().robot, Options().rule) == ("skull", "psm", "certified")
+    assert (Options().mesh, Options().robot, Options().rule) == ("skull-closed", "psm", "certified")
     assert (Options().radius, Options().rate) == (5e-3, 1000.0)
     assert (Options().host, Options().port) == ("127.0.0.1", 8080)
 

@@ -12,6 +12,7 @@ from watching import Track, Visitor, drawn_share, settle, wait_until
 
 from app.session import Session
 from app.view import Page
+from app.view.proxy import GIZMO_SIZE
 from app.view.units import VIEW_SCALE
 
 MESH = "skull-coarse"  # as the default skull, but a software renderer draws it ten times faster
@@ -83,7 +84,7 @@ def drag_gizmo(visitor: Visitor, page: Page, axis: int, distance: float) -> None
         ]
     )[axis]
     # The arrow's length is fixed in pixels; its head is at the end.
-    head = origin + 0.88 * 95.0 * visitor.pixel(origin) * direction
+    head = origin + 0.88 * GIZMO_SIZE * visitor.pixel(origin) * direction
     mouse = visitor.tab.mouse
     mouse.move(*visitor.to_screen(head))
     visitor.tab.wait_for_timeout(200)  # the page looks for what is under the mouse once a frame

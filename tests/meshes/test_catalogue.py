@@ -25,7 +25,7 @@ SHAPES = (
     "saddle-slab",
     "gyroid",
 )
-SKULLS = ("skull", "skull-coarse", "skull-fused", "skull-precut")
+SKULLS = ("skull-closed", "skull", "skull-coarse", "skull-fused", "skull-precut")
 
 
 def solid(name: str) -> trimesh.Trimesh:
@@ -58,7 +58,7 @@ VOLUMES = {
 
 
 def test_names_are_the_full_set() -> None:
-    assert meshes.names()[0] == "skull"
+    assert meshes.names()[0] == "skull-closed"
     assert set(meshes.names()) == {*SHAPES, *SKULLS, "skull-fine"}
     assert tuple(meshes.catalogue())[: len(meshes.names())] == meshes.names()
     for name, entry in meshes.catalogue().items():
@@ -147,6 +147,7 @@ def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         *((name, 0) for name in ("star-prism", "thin-plate", "saddle-slab")),
         ("torus", 1),
         ("gear", 1),  # its bore
+        ("skull-closed", 0),
         ("skull", 2),  # fontanelle and suture; the opening below makes it a bowl, not a tunnel
         ("skull-coarse", 2),
         ("skull-fused", 1),  # the fontanelle alone

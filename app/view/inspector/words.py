@@ -284,8 +284,7 @@ def _plane(inspection: Inspection, report: TriangleReport) -> str:
         if push > LEANING:
             most = " It blocks the way." if push == inspection.multipliers.max() else ""
             strong = f"The QP leans on it: pushed back by {push * 1e3:.3f} mm, {share:.0%}.{most}"
-            color = palette.css(palette.BLOCKING)
-            text += f"<br><b style='color:{color}'>{strong}</b>"
+            text += f"<br><b>{strong}</b>"
         else:
             text += "<br>The QP does not lean on it now."
     return f"<div class='vf-push' style='margin-top:3px'>{text}</div>"
@@ -317,7 +316,7 @@ def _percent(share: float) -> str:
 
 
 def _alarm(text: str, on: bool) -> str:
-    color = palette.css(palette.BLOCKING)
+    color = palette.css(palette.VERMILION)
     return f"<b style='color:{color}'>{text}</b>" if on else text
 
 
