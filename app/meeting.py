@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 import vf
 from app.verification import exact
 from app.verification.oracles import SCRATCH, distance, touches
+from vf.kernels import njit
 from vf.pdtree import STACK, children_of, triangles_of
 
 FloatArray = NDArray[np.float64]

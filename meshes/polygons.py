@@ -8,11 +8,11 @@ line. That is why this is not left to a library that drops such corners.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from meshes.content import check_corners, cut_off
 from meshes.errors import MeshError
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -73,5 +73,5 @@ def colour(gui: viser.GuiApi, dark: bool) -> None:
         dark_mode=dark,
         show_logo=False,
         show_share_button=False,
-        brand_color=palette.BLUE,
+        brand_color=palette.SKY if dark else palette.BLUE,
     )
