@@ -16,6 +16,7 @@ from app import scene as scenes
 from app.engine import Plant
 from app.messages import LoopStats, Telemetry
 from app.recording.format import Recording
+from app.recording.write import as_json
 from app.scene import Progress, Scene
 from app.settings import Options
 
@@ -41,7 +42,7 @@ def build_scenes(
     for k, place in enumerate(recording.places):
         same = (
             like is not None
-            and place.options == like.options
+            and as_json(place.options) == as_json(like.options)
             and place.checksum == like.surface.checksum
             and place.start.tobytes() == like.start.tobytes()
         )

@@ -90,15 +90,15 @@ def rerun(
         ValueError: a mesh is not usable.
     """
     stats = LoopStats()
-    order, index, place = 0, -1, -1
+    order, index, place = -1, -1, -1
     scene: Scene | None = None
     plant = None
     engine: Engine | None = None
     # The first orders are those that the engine had seen already when the recording began.
     for row in range(-1, len(recording.rows)):
-        if row >= 0:
-            order = int(recording.rows["order"][row])
-        if row < 0 or order != recording.rows["order"][row - 1]:
+        due = 0 if row < 0 else int(recording.rows["order"][row])
+        if due != order:
+            order = due
             noted = recording.orders[order]
             if noted["plant"] != index:
                 index = int(noted["plant"])

@@ -24,7 +24,6 @@ from app.engine import Orders
 from app.loop import ControlLoop
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
-from app.recording.format import RecordingError
 from app.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, check_names, in_range
 from app.tape import Tape
@@ -141,16 +140,19 @@ class Session:
     def record(self, path: Path | str) -> Tape:
         """Record every order and tick from the next tick on, until `stop_recording` or `close`.
 
+        No file is written over: where there is one of this name, the recording takes another, see
+        `Tape.path`.
+
         Raises:
-            Refused: a recording is under way, or the file exists or cannot be written.
+            Refused: a recording is under way, or the file cannot be made.
         """
         with self._lock:
             if self._tape is not None and self._tape.running:
                 raise Refused("a recording is under way: stop it first")
             try:
                 self._tape = Tape(path)
-            except (RecordingError, OSError) as error:
-                raise Refused(f"cannot record: {error}") from None
+            except OSError as error:
+                raise Refused(f"cannot record to {path}: {error.strerror or error}") from None
             self._loop.tape = self._tape
             return self._tape
 

@@ -32,6 +32,8 @@ def a_run(path: Path, options: Options = CUBE, ticks: int = 60) -> None:
     def advance(orders: Orders, times: int = 1) -> None:
         for _ in range(times):
             recorder.add(orders, *engine.advance(orders, LoopStats()))
+            if recorder.rows % 20 == 0:
+                recorder.flush()
 
     advance(orders, 3)
     orders = replace(orders, command=Command(down, 1, held=True))
