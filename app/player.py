@@ -28,6 +28,7 @@ class Moment:
     scene: Scene
     options: Options
     telemetry: Telemetry
+    clutched: bool
 
 
 def build_scenes(
@@ -99,7 +100,7 @@ class Player:
             stale=bool(noted["stale"]),
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
-        return Moment(scene, seen, telemetry)
+        return Moment(scene, seen, telemetry, bool(order["clutch"]))
 
     def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
         """The step of a row, from the joints before it."""
@@ -158,6 +159,13 @@ class Transport:
         """Seconds of the recording per second."""
         self._from, self._began = self._due(), time.monotonic()
         self.speed = speed
+
+    def move(self, moments: int) -> None:
+        """Rest so many moments further on, or back; rows of the same time are one."""
+        times = np.unique(self._times)
+        now = np.searchsorted(times, self._times[self.row()])
+        self.playing = False
+        self._from = float(times[np.clip(now + moments, 0, len(times) - 1)])
 
     def seek(self, at: float) -> None:
         """Rest at the row nearest to a time [s]: whoever asks has rounded it."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -26,8 +29,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # What pages keep for their users (recordings, meshes) is not put where this user has theirs.
+    os.environ["XDG_DATA_HOME"] = tempfile.mkdtemp(prefix="vf-sandbox-tests-")
     if not hasattr(config, "workerinput"):
         _forget_stale_kernels(Path(__file__).parent.parent)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    shutil.rmtree(os.environ["XDG_DATA_HOME"], ignore_errors=True)
 
 
 def _forget_stale_kernels(root: Path) -> None:

@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from app.files import shown
 from app.settings import OptionError, parse_as
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def summary(recording: Recording) -> list[str]:
         f"{len(recording.orders) - 1:,} orders, {len(recording.plants) - 1:,} changes of settings",
     ]
     lines += [
-        f"  {place.options.robot} over {place.options.mesh}, {place.triangles:,} triangles"
+        f"  {place.options.robot} over {shown(place.options.mesh)}, {place.triangles:,} triangles"
         for place in recording.places
     ]
     if recording.cut:

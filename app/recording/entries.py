@@ -111,7 +111,9 @@ def _options(entry: object) -> Options:
             sound = len(values[field.name]) == 3
         elif isinstance(default, bool | int):
             sound = type(value) is type(default) and abs(value) < 2**63
-        elif isinstance(default, str) or field.name in ("unit", "path"):
+        elif field.name in ("mesh", "path"):  # a file may be called anything
+            sound = isinstance(value, str) and len(value) <= 4096 and "\0" not in value
+        elif isinstance(default, str) or field.name == "unit":
             sound = isinstance(value, str) and len(value) <= 4096 and value.isprintable()
         else:
             sound = _is_number(value)

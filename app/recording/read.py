@@ -77,7 +77,9 @@ def under_way(path: Path | str) -> bool:
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
+    """A block as its beginning promises it."""
+
     kind: bytes
     at: int  # where its content begins [byte]
     size: int  # of the content [byte]
@@ -85,9 +87,9 @@ class _Block:
     crc: int
 
 
-def _blocks(file: BinaryIO, size: int) -> list[_Block]:
+def blocks(file: BinaryIO, size: int) -> list[Block]:
     """The blocks as their beginnings promise them; the last may reach beyond the file's end."""
-    found: list[_Block] = []
+    found: list[Block] = []
     at = len(MAGIC)
     while at + BLOCK.size <= size:
         file.seek(at)
@@ -96,22 +98,24 @@ def _blocks(file: BinaryIO, size: int) -> list[_Block]:
         if kind not in (HEAD, PART, LAST) or length > MAX_BLOCK or rows > most:
             break
         at += BLOCK.size
-        found.append(_Block(kind, at, length, rows, crc))
+        found.append(Block(kind, at, length, rows, crc))
         at += length
     return found
 
 
 def _recording(file: BinaryIO, going: bool) -> Recording:
     size = os.fstat(file.fileno()).st_size
-    blocks = _blocks(file, size)
-    rows = np.zeros(min(sum(b.rows for b in blocks if b.kind == PART), MAX_ROWS), dtype=ROWS)
-    reader = _Reader(rows)
+    promised = blocks(file, size)
+    due = sum(block.rows for block in promised if block.kind == PART)
+    reader = _Reader(np.zeros(min(due, MAX_ROWS), dtype=ROWS))
     crc, end = zlib.crc32(MAGIC), len(MAGIC)
-    for block in blocks:
+    spoilt = None
+    for block in promised:
         file.seek(block.at)
         content = file.read(block.size)
         crc = chained(crc, block.kind, block.rows, content)
         if len(content) != block.size or crc != block.crc:
+            spoilt = block
             break
         reader.take(block, content)
         end = block.at + block.size
@@ -120,20 +124,17 @@ def _recording(file: BinaryIO, going: bool) -> Recording:
         if end != size:
             raise RecordingError(f"{size - end:,} bytes follow its end")
         return recording
-    there = len(recording.rows) * recording.dt
-    promised = max(
-        [sum(b.rows for b in blocks if b.kind == PART), *(b.rows for b in blocks if b.kind == LAST)]
-    )
+    there = f"{len(recording.rows) * recording.dt:.2f}"
     if going:
-        return replace(recording, cut=f"The recording is still going on: {there:.2f} s so far.")
+        return replace(recording, cut=f"The recording is still going on: {there} s so far.")
     # A block that is complete and yet wrong was not left behind by a writer that ended.
-    spoilt = next((b for b in blocks if b.at > end), None)
     damaged = end + BLOCK.size <= size if spoilt is None else spoilt.at + spoilt.size <= size
-    of = f" of {promised * recording.dt:.2f}" if promised > len(recording.rows) else ""
-    if of and not any(b.kind == LAST for b in blocks):
-        of = of.replace(" of", " of at least")
     what = f"is damaged from byte {end:,} on" if damaged else "was cut off"
-    return replace(recording, cut=f"The recording {what}: {there:.2f}{of} s are readable.")
+    all_known = any(block.kind == LAST for block in promised)
+    due = max([due, *(block.rows for block in promised if block.kind == LAST)])
+    if due > len(recording.rows):
+        there += f" of {'' if all_known else 'at least '}{due * recording.dt:.2f}"
+    return replace(recording, cut=f"The recording {what}: {there} s are readable.")
 
 
 class _Reader:
@@ -154,7 +155,7 @@ class _Reader:
         self._note = ""
         self.ended = False
 
-    def take(self, block: _Block, content: bytes) -> None:
+    def take(self, block: Block, content: bytes) -> None:
         if self.ended or (block.kind == HEAD) != (self._head is None):
             raise RecordingError(f"a block {block.kind.decode()} is where none belongs")
         if block.kind == HEAD:
