@@ -89,6 +89,9 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
                     step.done()
                     for note in session.scene.notes:
                         console.print(f"  [yellow]![/] {escape(note)}")
+                    if tape is not None and tape.elsewhere:
+                        note = f"Recording to {tape.path}.{tape.elsewhere}"
+                        console.print(f"  [yellow]![/] {escape(note)}")
                     with interrupts() as wait:
                         console.print(
                             f"Ready after {time.perf_counter() - began:.1f} s. "

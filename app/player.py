@@ -16,6 +16,7 @@ from app import scene as scenes
 from app.engine import Plant
 from app.messages import LoopStats, Telemetry
 from app.recording.format import Recording
+from app.recording.write import as_json
 from app.scene import Progress, Scene
 from app.settings import Options
 
@@ -27,6 +28,7 @@ class Moment:
     scene: Scene
     options: Options
     telemetry: Telemetry
+    clutched: bool
 
 
 def build_scenes(
@@ -41,7 +43,7 @@ def build_scenes(
     for k, place in enumerate(recording.places):
         same = (
             like is not None
-            and place.options == like.options
+            and as_json(place.options) == as_json(like.options)
             and place.checksum == like.surface.checksum
             and place.start.tobytes() == like.start.tobytes()
         )
@@ -98,7 +100,7 @@ class Player:
             stale=bool(noted["stale"]),
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
-        return Moment(scene, seen, telemetry)
+        return Moment(scene, seen, telemetry, bool(order["clutch"]))
 
     def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
         """The step of a row, from the joints before it."""
@@ -157,6 +159,13 @@ class Transport:
         """Seconds of the recording per second."""
         self._from, self._began = self._due(), time.monotonic()
         self.speed = speed
+
+    def move(self, moments: int) -> None:
+        """Rest so many moments further on, or back; rows of the same time are one."""
+        times = np.unique(self._times)
+        now = np.searchsorted(times, self._times[self.row()])
+        self.playing = False
+        self._from = float(times[np.clip(now + moments, 0, len(times) - 1)])
 
     def seek(self, at: float) -> None:
         """Rest at the row nearest to a time [s]: whoever asks has rounded it."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from app import scene as scenes
 from app.engine import Engine, Orders, Plant
+from app.files import shown
 from app.messages import Command, LoopStats, Telemetry
 from app.recording.format import CHUNK, COMPARED, ROWS, Recording, RecordingError
 from app.recording.rows import command as command_of
@@ -90,15 +91,15 @@ def rerun(
         ValueError: a mesh is not usable.
     """
     stats = LoopStats()
-    order, index, place = 0, -1, -1
+    order, index, place = -1, -1, -1
     scene: Scene | None = None
     plant = None
     engine: Engine | None = None
     # The first orders are those that the engine had seen already when the recording began.
     for row in range(-1, len(recording.rows)):
-        if row >= 0:
-            order = int(recording.rows["order"][row])
-        if row < 0 or order != recording.rows["order"][row - 1]:
+        due = 0 if row < 0 else int(recording.rows["order"][row])
+        if due != order:
+            order = due
             noted = recording.orders[order]
             if noted["plant"] != index:
                 index = int(noted["plant"])
@@ -152,12 +153,14 @@ def build(
     surface = scene.surface
     if surface.checksum != noted.checksum:
         raise RecordingError(
-            f"the mesh '{options.mesh}' is not the one that was recorded: "
+            f"the mesh '{shown(options.mesh)}' is not the one that was recorded: "
             f"{len(surface.faces):,} triangles, recorded {noted.triangles:,}; SHA-256 "
             f"{surface.checksum[:12]}…, recorded {noted.checksum[:12]}…"
         )
     if scene.start.tobytes() != noted.start.tobytes():
-        raise RecordingError(f"the tool starts elsewhere over '{options.mesh}' than was recorded")
+        raise RecordingError(
+            f"the tool starts elsewhere over '{shown(options.mesh)}' than was recorded"
+        )
     return scene
 
 

@@ -33,6 +33,8 @@ CAMERAS = ("arm", "anatomy", "site", "tool", "follow", "surgeon")
 MOST_WAYPOINTS = 200
 LONGEST = 600.0  # [s] a script goes on
 FARTHEST = 2.0  # [m] of a waypoint from the mesh's origin; farther is a slip of the unit
+FARTHEST_EYE = 20.0  # [m] of a camera from the mesh's origin
+NEAREST_EYE = 1e-4  # [m] of a camera from what it looks at
 _TEXT = {"name": 60, "about": 300}  # characters
 
 Vector = tuple[float, float, float]
@@ -51,6 +53,14 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
+class Viewpoint:
+    """Eye and what it looks at, (3,) each [m], mesh frame; up is the arm's base's."""
+
+    eye: Vector
+    look_at: Vector
+
+
+@dataclass(frozen=True)
 class Scenario:
     """Everything that makes a set-up.
 
@@ -63,7 +73,7 @@ class Scenario:
             first time is later begins on the tool.
         wxyz: orientation of the proxy in the mesh's frame, a unit quaternion; None: the tool's own
             at its start.
-        camera: where to look from, one of `CAMERAS`; None: from where a new scene is seen.
+        camera: where to look from, one of `CAMERAS` or a place; None: as a new scene is seen.
         paused: whether the loop waits for *Run*.
 
     Raises:
@@ -76,7 +86,7 @@ class Scenario:
     options: Options = field(default_factory=Options)
     proxy: tuple[Waypoint, ...] = ()
     wxyz: tuple[float, float, float, float] | None = None
-    camera: str | None = None
+    camera: str | Viewpoint | None = None
     paused: bool = False
 
     def __post_init__(self) -> None:
@@ -101,7 +111,9 @@ class Scenario:
             raise ScenarioError(
                 f"wxyz must be a unit quaternion such as [1, 0, 0, 0], not {list(self.wxyz)}"
             )
-        if self.camera is not None and self.camera not in CAMERAS:
+        if isinstance(self.camera, Viewpoint):
+            _check_view(self.camera)
+        elif self.camera is not None and self.camera not in CAMERAS:
             raise ScenarioError(
                 f"unknown camera {_shown(self.camera)}: choose one of {', '.join(CAMERAS)}, or null"
             )
@@ -119,11 +131,14 @@ class _Kind:
     write: Callable[[Any], Any]
 
 
-def loads(text: str | bytes, folder: Path | None = None) -> Scenario:
+def loads(
+    text: str | bytes, folder: Path | None = None, find: Callable[[str], str | None] | None = None
+) -> Scenario:
     """A scenario from the JSON text of a file.
 
     Args:
         folder: where the file is; the paths in it start there. None: it must not have any.
+        find: finds a file by its name alone, in place of a folder; None: there is none.
 
     Raises:
         OptionError: not JSON, too long, an unknown format version, key or value; one line.
@@ -163,11 +178,11 @@ def loads(text: str | bytes, folder: Path | None = None) -> Scenario:
         options=Options(**wanted),
         proxy=_taken("proxy", _waypoints, content.get("proxy", [])),
         wxyz=_taken("wxyz", _quaternion, content.get("wxyz")),
-        camera=_taken("camera", _text_or_null, content.get("camera")),
+        camera=_taken("camera", _camera, content.get("camera")),
         paused=_taken("paused", _flag, content.get("paused", False)),
     )
     check_names(scenario.options)
-    return _placed(scenario, folder)
+    return _placed(scenario, folder, find)
 
 
 def dumps(scenario: Scenario, folder: Path | None = None) -> str:
@@ -189,7 +204,7 @@ def dumps(scenario: Scenario, folder: Path | None = None) -> str:
         {"time": waypoint.time, "at": _write_point(waypoint.at)} for waypoint in scenario.proxy
     ]
     content["wxyz"] = None if scenario.wxyz is None else list(scenario.wxyz)
-    content["camera"] = scenario.camera
+    content["camera"] = _write_camera(scenario.camera)
     content["paused"] = scenario.paused
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -286,6 +301,23 @@ def _quaternion(value: Any) -> tuple[float, float, float, float] | None:
     return w, x, y, z
 
 
+def _camera(value: Any) -> str | Viewpoint | None:
+    if not isinstance(value, dict):
+        return _text_or_null(value)
+    if set(value) != {"eye", "look_at"}:
+        raise ScenarioError('must be a name or {"eye": "x,y,z", "look_at": "x,y,z"}')
+    eye, look_at = (parse_point(_text(value[key])) for key in ("eye", "look_at"))
+    if eye is None or look_at is None:
+        raise ScenarioError("has no place: auto is none")
+    return Viewpoint(eye, look_at)
+
+
+def _write_camera(camera: str | Viewpoint | None) -> Any:
+    if not isinstance(camera, Viewpoint):
+        return camera
+    return {"eye": _write_point(camera.eye), "look_at": _write_point(camera.look_at)}
+
+
 def _write_length(value: float | None) -> str:
     """As one would write it if that is exact, else in metres with all digits."""
     text = format_length(value)
@@ -362,14 +394,30 @@ def _check_waypoint(waypoint: Waypoint, before: float | None) -> None:
         )
 
 
+def _check_view(view: Viewpoint) -> None:
+    for name, place in (("eye", view.eye), ("look_at", view.look_at)):
+        if not math.hypot(*place) <= FARTHEST_EYE:
+            raise ScenarioError(
+                f"the camera's {name} at {format_point(place)} is more than {FARTHEST_EYE:g} m "
+                "from the mesh's origin"
+            )
+    if not math.dist(view.eye, view.look_at) >= NEAREST_EYE:
+        raise ScenarioError(
+            f"the camera's eye must be {NEAREST_EYE * 1e3:g} mm or more from what it looks at, "
+            f"not at {format_point(view.eye)}"
+        )
+
+
 def _is_file(name: str) -> bool:
     """A mesh file has a suffix; a name of the catalogue has none, nor a folder before it."""
     return Path(name).suffix != "" or len(Path(name).parts) > 1
 
 
-def _placed(scenario: Scenario, folder: Path | None) -> Scenario:
-    """The same, with the paths in it found from the file's folder."""
-    found = {}
+def _placed(
+    scenario: Scenario, folder: Path | None, find: Callable[[str], str | None] | None = None
+) -> Scenario:
+    """The same, with the paths in it found from the file's folder, or by their names."""
+    found: dict[str, Any] = {}
     for key in _FILES:
         name = getattr(scenario.options, key)
         if name is None or not (key == "path" or _is_file(name)):
@@ -378,6 +426,12 @@ def _placed(scenario: Scenario, folder: Path | None) -> Scenario:
             raise ScenarioError(
                 f'"{key}": {_shown(name)}: write a path relative to the scenario\'s file'
             )
+        if find is not None:
+            where = find(name)
+            if where is None:
+                raise ScenarioError(f'"{key}": {_shown(name)} is not known here: bring it first')
+            found[key] = where
+            continue
         if folder is None:
             raise ScenarioError(f'"{key}": {_shown(name)}: there is no file to find this one from')
         found[key] = os.path.normpath(folder / name)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +25,6 @@ from app.engine import Orders
 from app.loop import ControlLoop
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
-from app.recording.format import RecordingError
 from app.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, check_names, in_range
 from app.tape import Tape
@@ -83,6 +83,8 @@ class Session:
         self._watch = Watch()
         self._loop = ControlLoop(self._inbox, self._outbox, options.dt, self._watch.take)
         self._tape: Tape | None = None
+        self._suspended = ""  # why orders are refused
+        self._goes_on = True  # once it is not suspended any more
         self._clutched = False
         self.handle = pin.SE3(self.scene.T_base_start)
         self._teleop = self._latched(self.handle)
@@ -141,16 +143,19 @@ class Session:
     def record(self, path: Path | str) -> Tape:
         """Record every order and tick from the next tick on, until `stop_recording` or `close`.
 
+        No file is written over: where there is one of this name, the recording takes another, see
+        `Tape.path`.
+
         Raises:
-            Refused: a recording is under way, or the file exists or cannot be written.
+            Refused: a recording is under way, or the file cannot be made.
         """
-        with self._lock:
+        with self._turn():
             if self._tape is not None and self._tape.running:
                 raise Refused("a recording is under way: stop it first")
             try:
                 self._tape = Tape(path)
-            except (RecordingError, OSError) as error:
-                raise Refused(f"cannot record: {error}") from None
+            except OSError as error:
+                raise Refused(f"cannot record to {path}: {error.strerror or error}") from None
             self._loop.tape = self._tape
             return self._tape
 
@@ -168,6 +173,38 @@ class Session:
         tape.finish()
         return tape
 
+    # While something else is on the page
+
+    def suspend(self, reason: str) -> None:
+        """Stop the ticks, let go of the handle, and refuse every order until `go_on`.
+
+        Args:
+            reason: what those are told who want something of the session meanwhile.
+
+        Raises:
+            Refused: it is suspended already, or another mesh or robot is on its way.
+        """
+        with self._turn():
+            if not self._changing.acquire(blocking=False):
+                raise Refused("another change is under way: wait until it is done")
+            self._suspended, self._goes_on = reason, not self._orders.paused
+            if self._orders.command.held:
+                self._command(self._orders.command.target)
+            self._order(paused=True)
+
+    def go_on(self) -> None:
+        """Take orders again, and tick if it did before `suspend`. Safe to call twice."""
+        with self._lock:
+            if self._suspended:
+                self._suspended = ""
+                self._changing.release()
+                self._order(paused=not self._goes_on)
+
+    @property
+    def suspended(self) -> bool:
+        """Whether orders are refused for now."""
+        return bool(self._suspended)
+
     # What the operator does
 
     def drive(self, target: pin.SE3, held: bool = False) -> None:
@@ -183,7 +220,7 @@ class Session:
                 session goes on with the pose it had.
         """
         handle = checked_pose(target)
-        with self._lock:
+        with self._turn():
             proxy = self._teleop.proxy(handle)
             _check_distance(proxy)
             self.handle = handle
@@ -199,7 +236,7 @@ class Session:
         if not self._lock.acquire(blocking=False):
             return
         try:
-            if self._orders.command.held:
+            if self._orders.command.held and not self._suspended:
                 self._command(self._orders.command.target, held=True)
         finally:
             self._lock.release()
@@ -213,14 +250,14 @@ class Session:
         shift = np.asarray(shift, dtype=np.float64)
         if shift.shape != (3,) or not np.isfinite(shift).all():
             raise Refused(f"a nudge is three finite lengths, not {shift.tolist()}")
-        with self._lock:
+        with self._turn():
             if self._orders.autopilot:
                 self.set_autopilot(False)
             self.drive(pin.SE3(self.handle.rotation, self.handle.translation + shift))
 
     def recall(self) -> None:
         """Put handle and proxy back onto the tool; ends the autopilot."""
-        with self._lock:
+        with self._turn():
             self._latch_on_tool(handle_too=True)
             self._command(pin.SE3(self.handle), autopilot=False)
 
@@ -229,7 +266,7 @@ class Session:
 
         Released: handle and proxy are latched anew, the proxy where the tool is.
         """
-        with self._lock:
+        with self._turn():
             if pressed == self._clutched:
                 return
             self._clutched = pressed
@@ -241,20 +278,22 @@ class Session:
 
     def pause(self) -> None:
         """Stop the ticks; telemetry keeps showing the last one."""
-        self._order(paused=True)
+        with self._turn():
+            self._order(paused=True)
 
     def resume(self) -> None:
         """Let the ticks go on. The proxy that counts is the one of this moment."""
-        self._order(paused=False)
+        with self._turn():
+            self._order(paused=False)
 
     def single_step(self, ticks: int = 1) -> None:
         """Pause, and do exactly so many ticks, one after the other at the loop's rate."""
-        with self._lock:
+        with self._turn():
             self._order(paused=True, steps=self._orders.steps + ticks)
 
     def reset(self) -> None:
         """Put the tool back to the scene's start, and handle and proxy onto it."""
-        with self._lock:
+        with self._turn():
             self.handle = pin.SE3(self.scene.T_base_start)
             self._teleop = self._latched(self.handle)
             self._clutched = False
@@ -262,7 +301,7 @@ class Session:
 
     def set_autopilot(self, on: bool) -> bool:
         """Let a scripted path drive the proxy, from its beginning. Off: the proxy stays there."""
-        with self._lock:
+        with self._turn():
             if on == self._orders.autopilot:
                 return on
             if on:
@@ -283,7 +322,7 @@ class Session:
             Refused: not finite, not a rotation, or farther than `FARTHEST` from the base.
         """
         pose = checked_pose(proxy)
-        with self._lock:
+        with self._turn():
             self._clutched = False
             self.handle = pose
             self._teleop = self._latched(pose)
@@ -294,7 +333,7 @@ class Session:
 
         It takes the place of the scene's own autopilot until the scene is changed.
         """
-        with self._lock:
+        with self._turn():
             self.scene = replace(self.scene, autopilot=script)
             plant = scenes.plant(self.scene, self.options)
             self.handle = pin.SE3(self.scene.T_base_start)
@@ -343,7 +382,7 @@ class Session:
 
     def set_scale(self, scale: float) -> float:
         """Proxy movement per handle movement, from here on: the proxy does not jump."""
-        with self._lock:
+        with self._turn():
             scale = _clamped("scale", scale)
             proxy = self._teleop.proxy(self.handle)
             self.options = replace(self.options, scale=scale)
@@ -353,7 +392,7 @@ class Session:
 
     def set_orientation_lock(self, on: bool) -> bool:
         """Keep the proxy's present orientation, whatever the handle's is; off: no jump either."""
-        with self._lock:
+        with self._turn():
             proxy = self._teleop.proxy(self.handle)
             self.options = replace(self.options, lock_orientation=bool(on))
             self._teleop = self._latched(proxy)
@@ -389,6 +428,8 @@ class Session:
             Refused: another change is under way.
             ValueError: unknown names or an unusable mesh, with the reason; the old scene goes on.
         """
+        with self._turn():
+            pass  # refused now rather than after the scene is built
         if not self._changing.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
         try:
@@ -418,6 +459,14 @@ class Session:
 
     # Inner workings; callers hold the lock
 
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[None]:
+        """The lock for an order of the operator's, which is refused while suspended."""
+        with self._lock:
+            if self._suspended:
+                raise Refused(self._suspended)
+            yield
+
     def _latched(self, proxy: pin.SE3) -> Teleop:
         """The map that takes the present handle to this proxy, by the present settings."""
         options = self.options
@@ -441,7 +490,7 @@ class Session:
 
     def _set(self, **changes: Any) -> Options:
         """New settings through a new plant; the numbers were clamped before."""
-        with self._lock:
+        with self._turn():
             options = replace(self.options, **changes)
             if options != self.options:
                 plant = scenes.plant(self.scene, options)

@@ -233,7 +233,7 @@ class Options:
     """Ticks of the control loop per second."""
     host: str = "127.0.0.1"
     """Address the page listens on. For one that other machines reach, such as 0.0.0.0, a token is
-    printed and asked for: whoever has it can move the simulated tool and upload meshes."""
+    printed and asked for: whoever has it can do all that the page can."""
     port: int = 8080
     """Port of the page; 0 takes any free one."""
     standoff: Length = 20e-6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import threading
 from collections import deque
@@ -22,28 +23,30 @@ class Tape:
     """One recording under way.
 
     The control thread calls `begin` once and `take` after each tick: a look at a length and an
-    append. If the writing thread falls behind by `BEHIND` ticks, or the disk is full, the recording
-    ends there, with the reason in the file and in `note`; the loop goes on.
+    append. The writing thread puts everything into the file every `PERIOD`, where it is readable
+    even if this process is killed. If it falls behind by `BEHIND` ticks, or the disk is full, the
+    recording ends there, with the reason in `note` and, where there is room, in the file; the loop
+    goes on.
 
     Attributes:
-        path: of the file, which is there once `running` is False, unless nothing was recorded.
+        path: of the file; not the one asked for if that was there.
+        asked: the path that was asked for.
         begun: whether `begin` was called.
         note: why the recording ended, if it was not told to.
+        rows: how many ticks are in the file.
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Open the file and start the writing thread.
+        """Make the file and start the writing thread.
 
         Raises:
-            RecordingError: the file exists.
-            OSError: it cannot be written.
+            OSError: it cannot be made.
         """
         self._recorder = Recorder(path)
-        self.path = self._recorder.path
+        self.path, self.asked = self._recorder.path, Path(path)
         self.begun = False
         self.note = ""
         self.rows = 0
-        """How many ticks are written."""
         self._queue: deque[tuple[Orders, Telemetry, bool] | tuple[Orders, State]] = deque()
         self._lost = False
         self._stop = threading.Event()
@@ -61,7 +64,12 @@ class Tape:
         if not self.rows:
             return f"Nothing was recorded{': ' + self.note if self.note else ''}."
         ending = f"; it ended because {self.note}" if self.note else ""
-        return f"Recorded {self.rows:,} ticks to {self.path}{ending}."
+        return f"Recorded {self.rows:,} {_ticks(self.rows)} to {self.path}{ending}.{self.elsewhere}"
+
+    @property
+    def elsewhere(self) -> str:
+        """A sentence on why the file has another name than was asked for; empty: it has not."""
+        return f" ({self.asked.name} was there already.)" if self.path != self.asked else ""
 
     def begin(self, seen: Orders, state: State) -> None:
         """From the control thread: what the ticks to come start from."""
@@ -94,7 +102,7 @@ class Tape:
             if self._lost:
                 self.note = f"the writing fell {BEHIND:,} ticks behind"
         except (RecordingError, OSError) as error:
-            self.note = str(error)
+            self.note = _reason(error)
         except Exception as error:
             log.exception("the recording failed")
             self.note = f"of an error of this program ({error!r})"
@@ -103,11 +111,10 @@ class Tape:
         try:
             if recorder.rows:
                 recorder.close(self.note)
-            else:
-                recorder.discard()
         except (RecordingError, OSError) as error:
-            self.note = str(error)
-            self.rows = 0
+            self.note = self.note or _reason(error)
+        self.rows = recorder.kept
+        if not self.rows:
             recorder.discard()
         if self.note:
             log.warning("%s", self.outcome)
@@ -120,4 +127,16 @@ class Tape:
                 recorder.begin(*item)
             else:
                 recorder.add(*item)
-        self.rows = recorder.rows
+        recorder.flush()
+        self.rows = recorder.kept
+
+
+def _reason(error: Exception) -> str:
+    if not isinstance(error, OSError):
+        return str(error)
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return f"{'the disk is full' if full else 'the file cannot be written'} ({error.strerror})"
+
+
+def _ticks(n: int) -> str:
+    return "tick" if n == 1 else "ticks"

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
+
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
@@ -20,3 +24,12 @@ class ByFile(LoadScopeScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
     return ByFile(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # What pages keep for their users (recordings, meshes) is not put where this user has theirs.
+    os.environ["XDG_DATA_HOME"] = tempfile.mkdtemp(prefix="vf-sandbox-tests-")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    shutil.rmtree(os.environ["XDG_DATA_HOME"], ignore_errors=True)

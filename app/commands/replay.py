@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from app.files import shown
 from app.settings import OptionError, parse_as
 
 if TYPE_CHECKING:
@@ -21,7 +22,8 @@ SAME, DIFFERENT, USAGE_ERROR = 0, 1, 2
 ABOUT = """Repeat a recorded session: the same orders to a fresh engine, without page and clock.
 
 With --check every tick is compared bit for bit. Exit code 0: the same, or not compared; 1:
-different (the first differing tick and field are named); 2: the file or its mesh is not usable."""
+different (the first differing tick and field are named); 2: the file or its mesh is not usable.
+Of a recording that was cut off, this is about what is readable, which is said."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ def run(options: Replay, console: Console) -> int:
         console.print(f"[red]different[/] after {took}: {escape(str(difference))}")
         return DIFFERENT
     same = "the same to the last bit" if options.check else "repeated, not compared (see --check)"
+    if recording.cut:
+        same += " as far as they are readable"
     console.print(f"{len(recording.rows):,} ticks {same}, {took}")
     return SAME
 
@@ -93,9 +97,11 @@ def summary(recording: Recording) -> list[str]:
         f"{len(recording.orders) - 1:,} orders, {len(recording.plants) - 1:,} changes of settings",
     ]
     lines += [
-        f"  {place.options.robot} over {place.options.mesh}, {place.triangles:,} triangles"
+        f"  {place.options.robot} over {shown(place.options.mesh)}, {place.triangles:,} triangles"
         for place in recording.places
     ]
+    if recording.cut:
+        lines.append(recording.cut)
     if recording.note:
         lines.append(f"The recording ended because {recording.note}.")
     here = packages()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import fields
 from typing import Any
@@ -12,8 +13,42 @@ from numpy.typing import NDArray
 
 from app.autopilot import Course
 from app.engine import State
-from app.recording.format import JOINTS, MAX_WAYPOINTS, RECORDED, Place, RecordingError
+from app.recording.format import (
+    FORMAT,
+    JOINTS,
+    MAX_PLANTS,
+    MAX_WAYPOINTS,
+    RECORDED,
+    Place,
+    RecordingError,
+)
 from app.settings import OptionError, Options
+
+
+def parsed(data: bytes, name: str) -> dict[str, Any]:
+    """A JSON object; `name` is what to call it."""
+    try:
+        found = json.loads(data, parse_constant=_no_constant)
+    except RecordingError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{name} is damaged ({str(error)[:120]})") from None
+    if not isinstance(found, dict):
+        raise RecordingError(f"{name} is damaged (it is no JSON object)")
+    return found
+
+
+def header(data: bytes, version: int) -> dict[str, Any]:
+    """The header of a recording of this version of the format."""
+    found = parsed(data, "the header")
+    if found.get("format") != FORMAT:
+        raise RecordingError(f"not a recording: the format is not '{FORMAT}'")
+    if found.get("version") != version:
+        raise RecordingError(
+            f"version {str(found.get('version'))[:20]} of the format: "
+            f"this program reads version {version}"
+        )
+    return found
 
 
 def items(header: dict[str, Any], name: str, limit: int, least: int = 1) -> list[Any]:
@@ -76,7 +111,9 @@ def _options(entry: object) -> Options:
             sound = len(values[field.name]) == 3
         elif isinstance(default, bool | int):
             sound = type(value) is type(default) and abs(value) < 2**63
-        elif isinstance(default, str) or field.name in ("unit", "path"):
+        elif field.name in ("mesh", "path"):  # a file may be called anything
+            sound = isinstance(value, str) and len(value) <= 4096 and "\0" not in value
+        elif isinstance(default, str) or field.name == "unit":
             sound = isinstance(value, str) and len(value) <= 4096 and value.isprintable()
         else:
             sound = _is_number(value)
@@ -106,6 +143,28 @@ def place(entry: object) -> Place:
         checksum=checksum,
         start=_numbers(entry.get("start"), "the start", JOINTS),
     )
+
+
+def places(header: dict[str, Any], least: int = 1) -> tuple[Place, ...]:
+    """The scenes, `least` of them or more."""
+    return tuple(place(entry) for entry in items(header, "places", MAX_PLANTS, least))
+
+
+def plants(
+    header: dict[str, Any], places: int, least: int = 1
+) -> tuple[tuple[tuple[int, Options], ...], tuple[Course | None, ...]]:
+    """The plants in so many scenes, and their courses; `least` of them or more."""
+    listed = items(header, "plants", MAX_PLANTS, least)
+    found = tuple(plant(entry, places) for entry in listed)
+    return found, tuple(course(entry.get("course")) for entry in listed)
+
+
+def packages(header: dict[str, Any]) -> dict[str, str]:
+    """The versions of packages, by name."""
+    return {
+        text(name, "package"): text(version, "version")
+        for name, version in mapping(header, "packages").items()
+    }
 
 
 def plant(entry: object, places: int) -> tuple[int, Options]:
@@ -168,6 +227,6 @@ def state(entry: object, joints: int) -> State:
     )
 
 
-def no_constant(word: str) -> float:
+def _no_constant(word: str) -> float:
     """Refuse what JSON does not have: infinities and NaN."""
     raise RecordingError(f"{word} in the header")

@@ -1,26 +1,36 @@
 """A session in one file: every order that took effect, every tick, and what they started from.
 
-The file is a zip archive, version 1, of
+The file, version 2, is only ever appended to, in blocks that are complete or not there: whatever
+ends the writing, all complete blocks are readable. It is `MAGIC` and then
 
-- ``header.json``: format, version, package versions, the state the engine started from, the scenes
-  (options at the time they were built, the mesh by name, size and SHA-256 of the placed surface,
-  start joints), the plants (scene, options and a scenario's course, one for every change of a
-  setting), the number of orders and of rows in each chunk, and why the recording ended.
-- ``orders/<column>.npy``: what the session wanted, one row for every `Orders` the engine saw.
-- ``rows/<chunk>/<column>.npy``: one row for every tick, and one for every change of the orders
-  while the loop was paused, as they happened. ``rows/…/order`` is the row of ``orders`` that
-  counted, so the first row with an order tells the tick at which it took effect.
+- one ``HEAD``: JSON with format, version, package versions, and the state the engine started from;
+- any number of ``PART``, zlib-compressed: the length of the JSON as a `LENGTH`, the JSON, and the
+  columns of two tables one after another. The JSON has the scenes that are new in it (options at
+  the time they were built, the mesh by name, size and SHA-256 of the placed surface, start joints),
+  the plants that are new (scene, options and a scenario's course, one for every change of a
+  setting), and the number of new orders. The tables are those orders, as `ORDERS`: what the session
+  wanted, one row for every `Orders` the engine saw; and `ROWS`: one row for every tick, and one for
+  every change of the orders while the loop was paused, as they happened. The column ``order`` is
+  the order that counted, so the first row with an order tells the tick at which it took effect;
+- one ``LAST``: JSON with why the recording ended. A file without it was cut off.
 
-Columns are numpy arrays without pickles, little-endian, SI units, poses in the arm's base frame;
-`ORDERS` and `ROWS` list them. An order that was replaced by a newer one before the engine looked
-had no effect and is not in the file. Planes are not stored: `vf.Controller.step` is a pure function
-of the joints and the target, so they are computed again, and checked against ``planes_crc``.
+Each block begins with a `BLOCK`: its kind, the length of what follows [byte], how many rows are in
+it (in ``LAST``: in all), and the CRC-32 of all this but itself, begun with that of the block before
+(that of `MAGIC` before the first), so that no block can be lost or put elsewhere unnoticed.
 
-Host, port and other matters of the server are not recorded.
+Columns are little-endian, SI units, poses in the arm's base frame. An order that was replaced by a
+newer one before the engine looked had no effect and is not in the file. Planes are not stored:
+`vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
+and checked against ``planes_crc``.
+
+Version 1, a zip archive whose list of contents came last, is still read: see `archive`. Host, port
+and other matters of the server are not recorded.
 """
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,15 +41,20 @@ from app.autopilot import Course
 from app.engine import State
 from app.settings import Options
 
-FORMAT, VERSION = "vf-sandbox recording", 1
+FORMAT, VERSION = "vf-sandbox recording", 2
+MAGIC = b"vf-sandbox recording 2\n"
+BLOCK = struct.Struct("<4sIII")
+LENGTH = struct.Struct("<I")
+HEAD, PART, LAST = b"HEAD", b"PART", b"LAST"
 SUFFIX = ".vfrec"
 JOINTS = 8  # width of the column q; an arm with fewer has zeros behind
-CHUNK = 4096  # rows that are compressed together
+CHUNK = 4096  # most rows that are compressed together
 MAX_ROWS = 4_000_000  # over an hour at 1 kHz
 MAX_ORDERS = 1_000_000
 MAX_PLANTS = 20_000
 MAX_WAYPOINTS = 1000  # of a course
 MAX_HEADER = 64_000_000  # [byte]
+MAX_BLOCK = 16_000_000  # [byte], unpacked
 
 # The options that a tick, or the way to it, can depend on.
 RECORDED = (
@@ -96,6 +111,11 @@ class RecordingError(ValueError):
     """A file that is no recording, or not one that can be used here; the message says why."""
 
 
+def chained(crc: int, kind: bytes, rows: int, content: bytes) -> int:
+    """The CRC-32 of a block, by that of the one before."""
+    return zlib.crc32(content, zlib.crc32(BLOCK.pack(kind, len(content), rows, 0), crc))
+
+
 @dataclass(frozen=True)
 class Place:
     """A scene of a recording, by reference.
@@ -127,6 +147,7 @@ class Recording:
         rows: (n,) `ROWS`.
         note: why the recording ended, if not because it was told to.
         packages: versions it was made with, by name.
+        cut: a sentence on what is missing at its end; empty: nothing is.
     """
 
     places: tuple[Place, ...]
@@ -137,6 +158,7 @@ class Recording:
     rows: NDArray[Any]
     note: str
     packages: dict[str, str]
+    cut: str = ""
 
     @property
     def dt(self) -> float:

@@ -1,179 +1,233 @@
-"""Reads a recording from a file that nobody vouches for: its members, and the rows in them."""
+"""Reads a recording from a file that nobody vouches for, as far as it was written."""
 
 from __future__ import annotations
 
-import io
-import json
-import struct
-import zipfile
+import fcntl
+import os
 import zlib
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-import vf
-from app.recording import entries
+from app.recording import archive, entries
+from app.recording.checks import check
 from app.recording.format import (
+    BLOCK,
     CHUNK,
     FORMAT,
-    MAX_HEADER,
+    HEAD,
+    LAST,
+    LENGTH,
+    MAGIC,
+    MAX_BLOCK,
     MAX_ORDERS,
     MAX_PLANTS,
     MAX_ROWS,
     ORDERS,
+    PART,
     ROWS,
     VERSION,
     Recording,
     RecordingError,
+    chained,
 )
 
 
 def read(path: Path | str) -> Recording:
     """A recording from a file that nobody vouches for.
 
+    What was cut off or is damaged from some place on is read up to there, and `Recording.cut` says
+    how much that is.
+
     Raises:
-        RecordingError: it is no recording, damaged, of another version, or larger than any; the
-            message is one line.
-        OSError: it cannot be read.
+        RecordingError: it is no recording, of another version, larger than any, or damaged from its
+            beginning, or it cannot be read; the message is one line.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            return _Reader(archive).recording()
+        with open(path, "rb") as file:
+            begins = file.read(len(MAGIC))
+            if begins == MAGIC:
+                return _recording(file, under_way(path))
+            if MAGIC.startswith(begins):
+                raise RecordingError("it was cut off before its first tick: there is nothing in it")
+            if begins.startswith(FORMAT.encode()):
+                raise RecordingError(
+                    "it is of another version of the format: this program reads versions 1 and 2"
+                )
+            return archive.read(file)
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        NotImplementedError,  # a compression of another kind
-        RuntimeError,  # encrypted
-        EOFError,
-        struct.error,
-    ) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(f"{path}: not a readable recording ({reason})") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def under_way(path: Path | str) -> bool:
+    """Whether some session is recording into this file at the moment."""
+    try:
+        with open(path, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False  # not there, or a file system without locks
+    return False
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block as its beginning promises it."""
+
+    kind: bytes
+    at: int  # where its content begins [byte]
+    size: int  # of the content [byte]
+    rows: int
+    crc: int
+
+
+def blocks(file: BinaryIO, size: int) -> list[Block]:
+    """The blocks as their beginnings promise them; the last may reach beyond the file's end."""
+    found: list[Block] = []
+    at = len(MAGIC)
+    while at + BLOCK.size <= size:
+        file.seek(at)
+        kind, length, rows, crc = BLOCK.unpack(file.read(BLOCK.size))
+        most = CHUNK if kind == PART else MAX_ROWS
+        if kind not in (HEAD, PART, LAST) or length > MAX_BLOCK or rows > most:
+            break
+        at += BLOCK.size
+        found.append(Block(kind, at, length, rows, crc))
+        at += length
+    return found
+
+
+def _recording(file: BinaryIO, going: bool) -> Recording:
+    size = os.fstat(file.fileno()).st_size
+    promised = blocks(file, size)
+    due = sum(block.rows for block in promised if block.kind == PART)
+    reader = _Reader(np.zeros(min(due, MAX_ROWS), dtype=ROWS))
+    crc, end = zlib.crc32(MAGIC), len(MAGIC)
+    spoilt = None
+    for block in promised:
+        file.seek(block.at)
+        content = file.read(block.size)
+        crc = chained(crc, block.kind, block.rows, content)
+        if len(content) != block.size or crc != block.crc:
+            spoilt = block
+            break
+        reader.take(block, content)
+        end = block.at + block.size
+    recording = reader.recording()
+    if reader.ended:
+        if end != size:
+            raise RecordingError(f"{size - end:,} bytes follow its end")
+        return recording
+    there = f"{len(recording.rows) * recording.dt:.2f}"
+    if going:
+        return replace(recording, cut=f"The recording is still going on: {there} s so far.")
+    # A block that is complete and yet wrong was not left behind by a writer that ended.
+    damaged = end + BLOCK.size <= size if spoilt is None else spoilt.at + spoilt.size <= size
+    what = f"is damaged from byte {end:,} on" if damaged else "was cut off"
+    all_known = any(block.kind == LAST for block in promised)
+    due = max([due, *(block.rows for block in promised if block.kind == LAST)])
+    if due > len(recording.rows):
+        there += f" of {'' if all_known else 'at least '}{due * recording.dt:.2f}"
+    return replace(recording, cut=f"The recording {what}: {there} s are readable.")
 
 
 class _Reader:
-    """Reads one archive; no size is believed before it is compared with what it must be."""
+    """Puts a recording together from blocks whose checksums are right; their content may be wrong.
 
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        self._archive = archive
-        self._members = {info.filename: info for info in archive.infolist()}
-        if len(self._members) != len(archive.infolist()):
-            raise RecordingError("a member is there twice")
+    No size is believed before it is compared with what it must be.
+    """
+
+    def __init__(self, rows: NDArray[Any]) -> None:
+        """`rows` has room for all that may come."""
+        self._rows = rows
+        self._filled = 0
+        self._head: dict[str, Any] | None = None
+        self._places: list[Any] = []
+        self._plants: list[Any] = []
+        self._courses: list[Any] = []
+        self._orders: list[NDArray[Any]] = []
+        self._note = ""
+        self.ended = False
+
+    def take(self, block: Block, content: bytes) -> None:
+        if self.ended or (block.kind == HEAD) != (self._head is None):
+            raise RecordingError(f"a block {block.kind.decode()} is where none belongs")
+        if block.kind == HEAD:
+            self._head = entries.header(content, VERSION)
+        elif block.kind == PART:
+            self._part(block.rows, content)
+        else:
+            if block.rows != self._filled:
+                raise RecordingError(f"it has {self._filled:,} rows, not {block.rows:,}")
+            self._note = entries.text(entries.parsed(content, "the end").get("note"), "note")
+            self.ended = True
 
     def recording(self) -> Recording:
-        if "header.json" not in self._members:
-            raise RecordingError("not a recording: header.json is missing")
-        try:
-            header = json.loads(
-                self._bytes("header.json", MAX_HEADER), parse_constant=entries.no_constant
-            )
-        except RecordingError:
-            raise
-        except (ValueError, RecursionError) as error:
-            raise RecordingError(f"header.json is damaged ({str(error)[:120]})") from None
-        if not isinstance(header, dict) or header.get("format") != FORMAT:
-            raise RecordingError(f"not a recording: the format is not '{FORMAT}'")
-        if header.get("version") != VERSION:
+        if self._head is None or not self._plants:
             raise RecordingError(
-                f"version {str(header.get('version'))[:20]} of the format: "
-                f"this program reads version {VERSION}"
+                "it was cut off or is damaged before its first tick: nothing of it is readable"
             )
-        places = tuple(
-            entries.place(entry) for entry in entries.items(header, "places", MAX_PLANTS)
-        )
-        plants = tuple(
-            entries.plant(entry, len(places))
-            for entry in entries.items(header, "plants", MAX_PLANTS)
-        )
-        courses = tuple(entries.course(entry.get("course")) for entry in header["plants"])
-        if len({options.rate for _, options in plants}) != 1:
-            raise RecordingError("the rate changes within the recording")
-        chunks = [
-            entries.whole(n, "the rows of a chunk", 1, CHUNK)
-            for n in entries.items(header, "chunks", MAX_ROWS, least=0)
-        ]
-        if sum(chunks) > MAX_ROWS:
-            raise RecordingError(f"{sum(chunks):,} rows: at most {MAX_ROWS:,} are read")
-        count = entries.whole(header.get("orders"), "the number of orders", 1, MAX_ORDERS)
-        orders = self._table("orders", ORDERS, count)
-        rows = np.zeros(sum(chunks), dtype=ROWS)
-        at = 0
-        for k, n in enumerate(chunks):
-            rows[at : at + n] = self._table(f"rows/{k:05d}", ROWS, n)
-            at += n
-        expected = 1 + len(ORDERS.names or ()) + len(chunks) * len(ROWS.names or ())
-        if len(self._members) != expected:
-            raise RecordingError("there are members that do not belong into a recording")
         recording = Recording(
-            places=places,
-            plants=plants,
-            courses=courses,
-            state=entries.state(header.get("state"), len(places[plants[0][0]].start)),
-            orders=orders,
-            rows=rows,
-            note=entries.text(header.get("note"), "note"),
-            packages={
-                entries.text(name, "package"): entries.text(version, "version")
-                for name, version in entries.mapping(header, "packages").items()
-            },
+            places=tuple(self._places),
+            plants=tuple(self._plants),
+            courses=tuple(self._courses),
+            state=entries.state(
+                self._head.get("state"), len(self._places[self._plants[0][0]].start)
+            ),
+            orders=np.concatenate(self._orders),
+            rows=self._rows[: self._filled],
+            note=self._note,
+            packages=entries.packages(self._head),
         )
-        _check(recording)
+        check(recording)
         return recording
 
-    def _bytes(self, name: str, limit: int) -> bytes:
-        info = self._members.get(name)
-        if info is None:
-            raise RecordingError(f"the member {name} is missing")
-        if info.file_size > limit:
-            raise RecordingError(f"{name} unpacks to {info.file_size:,} bytes, {limit:,} allowed")
-        return self._archive.read(info)
-
-    def _table(self, folder: str, dtype: np.dtype[Any], n: int) -> NDArray[Any]:
-        table = np.zeros(n, dtype=dtype)
-        for name in dtype.names or ():
-            column = dtype[name]
-            member = f"{folder}/{name}.npy"
-            data = self._bytes(member, n * column.itemsize + 1024)
-            try:
-                array = np.load(io.BytesIO(data), allow_pickle=False)
-            except (ValueError, OSError, EOFError, SyntaxError) as error:
-                reason = " ".join(str(error).split())[:120]
-                raise RecordingError(f"{member} is damaged ({reason})") from None
-            wanted = (n, *column.shape)
-            if array.dtype != column.base or array.shape != wanted:
-                raise RecordingError(
-                    f"{member} is {array.dtype} {array.shape}, not {column.base} {wanted}"
-                )
-            table[name] = array
-        return table
-
-
-def _check(recording: Recording) -> None:
-    """Refuse what no recorder writes."""
-    orders, rows = recording.orders, recording.rows
-    for name in ("target", "rotation", "stamp", "scale"):
-        _all(np.isfinite(orders[name]), f"orders/{name}", "is not finite")
-    _all(orders["plant"] < len(recording.plants), "orders/plant", "is not one of the plants")
-    _all(np.diff(orders["plant"].astype(np.int64)) >= 0, "orders/plant", "goes back")
-    turned = orders["rotation"][orders["driven"] != 0]
-    off = np.abs(np.einsum("kij,klj->kil", turned, turned) - np.eye(3)).max(axis=(1, 2), initial=0)
-    _all(off < 1e-3, "orders/rotation", "is not a rotation")
-    for name in ("q", "target", "tip", "force", "radius", "spent"):
-        _all(np.isfinite(rows[name]), f"rows/{name}", "is not finite")
-    _all(~np.isnan(rows["distance"]), "rows/distance", "is not a number")
-    _all(rows["status"] <= max(vf.Status), "rows/status", "is not a status")
-    order = rows["order"].astype(np.int64)
-    _all(order < len(orders), "rows/order", "is not one of the orders")
-    _all(np.diff(order, prepend=0) >= 0, "rows/order", "goes back")
-    ticks = np.diff(rows["tick"], prepend=recording.state.tick)
-    _all(ticks == (rows["ticked"] != 0), "rows/tick", "does not count on")
+    def _part(self, n: int, packed: bytes) -> None:
+        unpacking = zlib.decompressobj()
+        try:
+            content = unpacking.decompress(packed, MAX_BLOCK)
+        except zlib.error as error:
+            raise RecordingError(f"a part of it is damaged ({error})") from None
+        if not unpacking.eof:
+            raise RecordingError(f"a part of it unpacks to more than {MAX_BLOCK:,} bytes")
+        entries.whole(n, "the rows of a part", 0, min(CHUNK, len(self._rows) - self._filled))
+        if len(content) < LENGTH.size:
+            raise RecordingError("a part of it is empty")
+        (length,) = LENGTH.unpack(content[: LENGTH.size])
+        about = entries.parsed(content[LENGTH.size : LENGTH.size + length], "a part of it")
+        count = entries.whole(about.get("orders"), "the number of orders", 0, CHUNK + 1)
+        at = LENGTH.size + length
+        due = count * ORDERS.itemsize + n * ROWS.itemsize
+        if len(content) - at != due:
+            raise RecordingError(f"a part of it has {len(content) - at:,} bytes, not {due:,}")
+        self._places += entries.places(about, least=0)
+        plants, courses = entries.plants(about, len(self._places), least=0)
+        self._plants += plants
+        self._courses += courses
+        if len(self._plants) > MAX_PLANTS:
+            raise RecordingError(f"there are more than {MAX_PLANTS:,} changes of settings")
+        self._orders.append(_table(content, at, ORDERS, count))
+        if sum(map(len, self._orders)) > MAX_ORDERS:
+            raise RecordingError(f"there are more than {MAX_ORDERS:,} orders")
+        self._rows[self._filled : self._filled + n] = _table(
+            content, at + count * ORDERS.itemsize, ROWS, n
+        )
+        self._filled += n
 
 
-def _all(good: NDArray[np.bool_], column: str, what: str) -> None:
-    if not good.all():
-        row = int(np.argmin(good.reshape(len(good), -1).all(axis=1)))
-        raise RecordingError(f"{column} of row {row} {what}")
+def _table(content: bytes, at: int, dtype: np.dtype[Any], n: int) -> NDArray[Any]:
+    """A table (n,) from its columns, one after another from there on."""
+    table = np.zeros(n, dtype=dtype)
+    for name in dtype.names or ():
+        column = dtype[name]
+        count = n * (column.itemsize // column.base.itemsize)
+        found = np.frombuffer(content, column.base, count, at)
+        table[name] = found.reshape(n, *column.shape)
+        at += n * column.itemsize
+    return table

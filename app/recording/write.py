@@ -3,83 +3,116 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import importlib.metadata
-import io
 import json
 import os
 import platform
-import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import meshes
 import vf
 from app.autopilot import Course
 from app.engine import Orders, Plant, State
 from app.messages import Telemetry
 from app.recording.format import (
+    BLOCK,
     CHUNK,
     FORMAT,
+    HEAD,
     JOINTS,
+    LAST,
+    LENGTH,
+    MAGIC,
     MAX_ORDERS,
     MAX_PLANTS,
     MAX_ROWS,
     ORDERS,
+    PART,
     RECORDED,
     ROWS,
     VERSION,
     RecordingError,
+    chained,
 )
 from app.recording.rows import fill
 from app.settings import Options
+
+TOGETHER = 64  # most plants in a part: those with a course are large
+NAMES = 1000  # how many names are tried for a file
 
 
 class Recorder:
     """Writes a recording. No thread, no clock: whoever runs an `Engine` calls `add`.
 
-    Not thread-safe. `close` makes the file; before that there is one with ``.part`` appended.
+    What `flush` has written is readable whatever happens next. Not thread-safe.
+
+    Attributes:
+        path: of the file. It is not the one asked for if that was there: no file is written over.
+        rows: how many rows there are so far.
+        kept: how many of them are in the file.
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Open the file; `begin` comes next.
+        """Make the file; `begin` comes next.
 
         Raises:
-            RecordingError: the file exists.
-            OSError: it cannot be written.
+            OSError: it cannot be made.
         """
-        self.path = Path(path)
-        if self.path.exists():
-            raise RecordingError(f"{self.path} exists already: choose another name")
+        descriptor, self.path = _made(Path(path))
+        self._file = os.fdopen(descriptor, "wb", buffering=0)
         self._state: State | None = None
-        self._part = self.path.with_name(self.path.name + ".part")
-        self._zip = zipfile.ZipFile(self._part, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
-        self._places: list[dict[str, Any]] = []
-        self._versions: list[int] = []  # of the scenes, as `Plant.scene`
-        self._plants: list[dict[str, Any]] = []
+        self._scene: int | None = None  # version of the newest place's, as `Plant.scene`
         self._plant: Plant | None = None
         self._last: Orders | None = None
         self._step: vf.Step | None = None
-        self._orders = np.zeros(256, dtype=ORDERS)
-        self._count = 0  # of orders
+        self._counts = {"places": 0, "plants": 0, "orders": 0}
+        # What is not in the file yet.
+        self._places: list[dict[str, Any]] = []
+        self._plants: list[dict[str, Any]] = []
+        self._orders: list[tuple[Any, ...]] = []
         self._rows = np.zeros(CHUNK, dtype=ROWS)
         self._filled = 0
-        self._chunks: list[int] = []
+        self.kept = 0
+        self._end = 0  # of what is written completely [byte]
+        self._crc = zlib.crc32(MAGIC)
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are so far."""
+        return self.kept + self._filled
 
     def begin(self, seen: Orders, state: State) -> None:
         """Start from an engine's state and the orders that it saw last.
 
         Raises:
             RecordingError: the arm has more joints than fit.
+            OSError: the disk is full or the like.
         """
         self._state, self._step = state, state.step
+        self._append(MAGIC)
+        content = {
+            "format": FORMAT,
+            "version": VERSION,
+            "packages": packages(),
+            "state": {
+                "q": state.q.tolist(),
+                "tick": state.tick,
+                "steps": state.steps,
+                "silent": state.silent,
+                "autopilot_since": state.autopilot_since,
+                "target": None if state.target is None else state.target.homogeneous.tolist(),
+                "stale": state.stale,
+            },
+        }
+        self._block(HEAD, 0, json.dumps(content).encode())
         self._note_orders(seen)
-
-    @property
-    def rows(self) -> int:
-        """How many rows there are so far."""
-        return sum(self._chunks) + self._filled
+        self.flush()
 
     def add(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
         """Append what `Engine.advance` made of these orders.
@@ -92,82 +125,94 @@ class Recorder:
             raise RecordingError(f"a recording holds at most {MAX_ROWS:,} ticks")
         if orders is not self._last:
             self._note_orders(orders)
-        fill(self._rows, self._filled, self._count - 1, telemetry, ticked, self._step)
+        fill(self._rows, self._filled, self._counts["orders"] - 1, telemetry, ticked, self._step)
         self._step = telemetry.step
         self._filled += 1
-        if self._filled == CHUNK:
-            self._flush()
+        if self._filled == CHUNK or len(self._plants) == TOGETHER:
+            self.flush()
+
+    def flush(self) -> None:
+        """Put into the file what is not in it yet.
+
+        Raises:
+            OSError: the disk is full or the like; the file ends where it did.
+        """
+        if not (self._filled or self._orders):
+            return
+        about = {"places": self._places, "plants": self._plants, "orders": len(self._orders)}
+        words = json.dumps(about).encode()
+        content = b"".join(
+            (
+                LENGTH.pack(len(words)),
+                words,
+                _columns(np.array(self._orders, dtype=ORDERS)),
+                _columns(self._rows[: self._filled]),
+            )
+        )
+        self._block(PART, self._filled, zlib.compress(content, 1))
+        self.kept += self._filled
+        self._places, self._plants, self._orders, self._filled = [], [], [], 0
 
     def close(self, note: str = "") -> None:
-        """Finish the file under its name. `note`: why it ends here, if it was not told to."""
-        state = self._state
-        if state is None:
+        """Finish the file. `note`: why it ends here, if it was not told to.
+
+        Raises:
+            RecordingError: nothing was recorded.
+            OSError: the disk is full or the like; what was kept is readable all the same.
+        """
+        if self._state is None:
             raise RecordingError("nothing was recorded")
-        self._flush()
-        self._table("orders", self._orders[: self._count])
-        header = {
-            "format": FORMAT,
-            "version": VERSION,
-            "packages": packages(),
-            "note": note,
-            "state": {
-                "q": state.q.tolist(),
-                "tick": state.tick,
-                "steps": state.steps,
-                "silent": state.silent,
-                "autopilot_since": state.autopilot_since,
-                "target": None if state.target is None else state.target.homogeneous.tolist(),
-                "stale": state.stale,
-            },
-            "places": self._places,
-            "plants": self._plants,
-            "orders": self._count,
-            "chunks": self._chunks,
-        }
-        self._zip.writestr("header.json", json.dumps(header))
-        self._zip.close()
-        os.replace(self._part, self.path)
+        try:
+            try:
+                self.flush()
+            except OSError as error:
+                note = note or f"the file cannot be written ({error.strerror})"
+                raise
+            finally:
+                self._block(LAST, self.kept, json.dumps({"note": note}).encode())
+                os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
 
     def discard(self) -> None:
         """Leave nothing behind."""
-        with contextlib.suppress(OSError, ValueError):
-            self._zip.close()
-        self._part.unlink(missing_ok=True)
+        self.path.unlink(missing_ok=True)
+        self._file.close()
 
     def _note_orders(self, orders: Orders) -> None:
+        if self._counts["orders"] >= MAX_ORDERS:
+            raise RecordingError(f"a recording holds at most {MAX_ORDERS:,} orders")
         if orders.plant is not self._plant:
             self._note_plant(orders.plant)
-        if self._count >= MAX_ORDERS:
-            raise RecordingError(f"a recording holds at most {MAX_ORDERS:,} orders")
-        if self._count == len(self._orders):
-            self._orders = np.concatenate([self._orders, np.zeros_like(self._orders)])
         command, target = orders.command, orders.command.target
-        self._orders[self._count] = (
-            len(self._plants) - 1,
-            target is not None,
-            0.0 if target is None else target.translation,
-            0.0 if target is None else target.rotation,
-            command.sequence,
-            command.clutch,
-            command.held,
-            command.stamp,
-            orders.paused,
-            orders.steps,
-            orders.resets,
-            orders.autopilot,
-            orders.scale,
-            orders.lock_orientation,
+        self._orders.append(
+            (
+                self._counts["plants"] - 1,
+                target is not None,
+                np.zeros(3) if target is None else target.translation,
+                np.zeros((3, 3)) if target is None else target.rotation,
+                command.sequence,
+                command.clutch,
+                command.held,
+                command.stamp,
+                orders.paused,
+                orders.steps,
+                orders.resets,
+                orders.autopilot,
+                orders.scale,
+                orders.lock_orientation,
+            )
         )
-        self._count += 1
+        self._counts["orders"] += 1
         self._last = orders
 
     def _note_plant(self, plant: Plant) -> None:
         if len(plant.q0) > JOINTS:
             raise RecordingError(f"an arm of {len(plant.q0)} joints: at most {JOINTS} are recorded")
-        if len(self._plants) >= MAX_PLANTS:
+        if self._counts["plants"] >= MAX_PLANTS:
             raise RecordingError(f"a recording holds at most {MAX_PLANTS:,} changes of settings")
-        if not self._versions or self._versions[-1] != plant.scene:
-            self._versions.append(plant.scene)
+        if self._scene != plant.scene:
+            self._scene = plant.scene
             self._places.append(
                 {
                     "options": as_json(plant.scene_options),
@@ -177,10 +222,11 @@ class Recorder:
                     "start": plant.q0.tolist(),
                 }
             )
+            self._counts["places"] += 1
         script = plant.autopilot
         self._plants.append(
             {
-                "place": len(self._places) - 1,
+                "place": self._counts["places"] - 1,
                 "options": as_json(plant.options),
                 "course": None
                 if not isinstance(script, Course)
@@ -191,19 +237,26 @@ class Recorder:
                 },
             }
         )
+        self._counts["plants"] += 1
         self._plant = plant
 
-    def _flush(self) -> None:
-        if self._filled:
-            self._table(f"rows/{len(self._chunks):05d}", self._rows[: self._filled])
-            self._chunks.append(self._filled)
-            self._filled = 0
+    def _block(self, kind: bytes, rows: int, content: bytes) -> None:
+        crc = chained(self._crc, kind, rows, content)
+        self._append(BLOCK.pack(kind, len(content), rows, crc) + content)
+        self._crc = crc
 
-    def _table(self, folder: str, table: NDArray[Any]) -> None:
-        for name in table.dtype.names or ():
-            stream = io.BytesIO()
-            np.save(stream, np.ascontiguousarray(table[name]), allow_pickle=False)
-            self._zip.writestr(f"{folder}/{name}.npy", stream.getvalue())
+    def _append(self, content: bytes) -> None:
+        """All of it, or nothing."""
+        left = memoryview(content)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._end)
+                self._file.seek(self._end)
+            raise
+        self._end += len(content)
 
 
 def packages() -> dict[str, str]:
@@ -216,5 +269,32 @@ def packages() -> dict[str, str]:
 
 
 def as_json(options: Options) -> dict[str, Any]:
-    """The options that are recorded."""
-    return {name: getattr(options, name) for name in RECORDED}
+    """The options that are recorded; files by paths that hold wherever they are read."""
+    values = {name: getattr(options, name) for name in RECORDED}
+    if options.mesh not in meshes.catalogue():
+        values["mesh"] = os.path.abspath(options.mesh)
+    if options.path is not None:
+        values["path"] = os.path.abspath(options.path)
+    return values
+
+
+def _made(path: Path) -> tuple[int, Path]:
+    """A new file's descriptor and path, locked for as long as this process has it open.
+
+    If there is a file of this name, one with a number behind it is made.
+    """
+    for number in range(1, NAMES):
+        name = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+        try:
+            descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        except FileExistsError:
+            continue
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return descriptor, name
+    raise FileExistsError(f"{path} and {NAMES - 2} names after it exist: choose another")
+
+
+def _columns(table: NDArray[Any]) -> bytes:
+    """A table's columns, one after another."""
+    return b"".join(table[name].tobytes() for name in table.dtype.names or ())

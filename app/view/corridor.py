@@ -25,6 +25,7 @@ class CorridorControl:
 
     def __init__(self, stage: Stage) -> None:
         self._session, self._hand, self._tell = stage.session, stage.hand, stage.tell
+        self._screen = stage.screen
         self._api = stage.server.scene
         self._drawn: tuple[int, float | None] | None = None
         low, high = RANGES["corridor"]
@@ -45,7 +46,8 @@ class CorridorControl:
         self._drawn = None
 
     def frame(self, telemetry: Telemetry) -> None:
-        scene, width = self._session.scene, self._session.options.corridor
+        shown = self._screen.shown
+        scene, width = shown.scene, shown.options.corridor
         if self._drawn == (scene.version, width):
             return
         self._drawn = (scene.version, width)
@@ -74,11 +76,13 @@ class CorridorControl:
             self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
 
     def read_out(self, telemetry: Telemetry) -> None:
-        show(self._on, self._session.options.corridor is not None)
+        live = self._screen.live
+        self._on.disabled = self._width.disabled = not live
+        show(self._on, self._screen.shown.options.corridor is not None)
         self._field.sync()
 
     def _in_force(self) -> float | None:
-        width = self._session.options.corridor
+        width = self._screen.shown.options.corridor
         return None if width is None else width * 1e3
 
     async def _switched(self, event: viser.GuiEvent[Any]) -> None:

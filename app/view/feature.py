@@ -8,15 +8,18 @@ from typing import Protocol
 
 import viser
 
+from app.library import Library
 from app.messages import Telemetry
 from app.scenario import Scenario
 from app.scene import Scene
 from app.session import Session
+from app.view.camera import Following
 from app.view.escape import Escape
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand, Tell
 from app.view.proxy import Proxy
 from app.view.screen import Screen
+from app.view.uploads import Uploads
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,10 @@ class Stage:
         proxy: the operator's gizmo, likewise.
         look: moves one client's camera to a preset, by the name of its button.
         escape: what the Escape key closes; dialogs of a part say there that they are open.
+        following: whose cameras follow the tool.
         screen: what is shown; a part may put something else there than the session.
+        library: the mesh files that can be chosen.
+        uploads: takes files that come through a part's upload button.
         scenario: what the page was started with, if anything.
     """
 
@@ -47,7 +53,10 @@ class Stage:
     proxy: Proxy
     look: Callable[[viser.ClientHandle, str], None]
     escape: Escape
+    following: Following
     screen: Screen
+    library: Library
+    uploads: Uploads
     scenario: Scenario | None = None
 
 

@@ -14,7 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.loop import VIEW_PRIORITY, prefer_this_thread
-from app.session import Session
+from app.session import Refused, Session
 from app.view import who
 from app.view.proxy import Proxy
 from app.view.units import pose_from_view, same_pose
@@ -97,9 +97,19 @@ class Hand:
             self._proxy.place(handle)
             self._shown = handle
 
+    def let_go(self) -> None:
+        """Whoever drags the gizmo has it no longer."""
+        self.submit(self._drop)
+
+    def _drop(self) -> None:
+        self._owner = self._shown = None
+
     def _run(self, order: Callable[..., object], arguments: tuple[object, ...]) -> None:
         try:
             order(*arguments)
+        except Refused as reason:
+            asked = next((a for a in arguments if isinstance(a, viser.ClientHandle)), None)
+            self._tell(asked, f"{reason}.")
         except Exception:
             log.exception("an order from the page failed")
 
@@ -117,10 +127,10 @@ class Hand:
         position: NDArray[np.float64],
     ) -> None:
         if self._owner is None and phase == "start":
-            self._owner = client_id
-            self._complained = False
             if self._session.latest().autopilot:
                 self._session.set_autopilot(False)
+            self._owner = client_id
+            self._complained = False
         if self._owner != client_id:
             if phase == "start":
                 self._tell(
@@ -144,7 +154,8 @@ class Hand:
                 self._complained = True
                 self._tell(client, f"Proxy refused: {error}.")
             if phase == "end":
-                self._session.drive(self._session.handle, held=False)
+                with contextlib.suppress(Refused):
+                    self._session.drive(self._session.handle, held=False)
         if phase == "end":
             # Look once more: the view may have put the gizmo somewhere just as it was grabbed.
             self._shown = None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import html
+import shutil
 import threading
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,14 +12,21 @@ from typing import Any
 import viser
 
 import meshes
+from app.files import size
+from app.library import Kept
 from app.messages import Telemetry
+from app.recording.outline import outline
 from app.scene import Scene
-from app.view import health, palette
+from app.session import Refused
+from app.view import dialogs, health, palette
 from app.view.feature import Stage
-from app.view.uploads import Uploads
+from app.view.recorder import recordings
+from app.view.uploads import Receiver
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"
+_UNKNOWN = f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press Examine.</div>"
 GUESS = "guess"
+NONE = "–"
 OWN_UNIT = ("glb", "gltf", "3mf", "gii", *meshes.FREESURFER)  # formats that say their unit
 
 
@@ -39,7 +44,10 @@ class MeshTab:
         self._drawing = health.HealthDrawing(stage.server.scene)
         self._busy = threading.Lock()
         self._scene: Scene | None = None  # what is drawn
-        self._examined = -1  # version of the scene that the report is on
+        # The scene that the report is on, the report and its marks.
+        self._examined: tuple[Scene, str, health.Marks, float] | None = None
+        self._library = stage.library
+        self._screen = stage.screen
         server = stage.server
         limit = round(self._session.options.upload_limit * 1e6)
         with stage.left.add_tab("Mesh"):
@@ -50,6 +58,15 @@ class MeshTab:
                 icon=viser.Icon.UPLOAD,
             )
             self._state = server.gui.add_html("")
+            self._files: Any = server.gui.add_dropdown(
+                "Kept files",
+                (NONE,),
+                initial_value=NONE,
+                hint="Meshes that were brought, also before a restart. The list Mesh has them all.",
+            )
+            self._delete = server.gui.add_button(
+                "Delete mesh file", icon=viser.Icon.TRASH, color="gray"
+            )
             self._examine = server.gui.add_button(
                 "Examine", hint="Look for what is wrong with the mesh, and show where."
             )
@@ -63,7 +80,17 @@ class MeshTab:
             self._flip = server.gui.add_button(
                 "Flip", hint="Turn open sheets over: they have no outside to be known by."
             )
-        Uploads(server, self._upload, limit, self._ask, self._tell)
+        stage.uploads.take(
+            self._upload,
+            Receiver(
+                meshes.FORMATS,
+                limit,
+                "start the sandbox with --upload-limit to allow more",
+                self._library.coming,
+                self._library.refusal,
+                self._ask,
+            ),
+        )
         self._say("")
         self._offer()
 
@@ -81,31 +108,69 @@ class MeshTab:
             flip = not self._session.options.flip
             self._work(event.client, lambda: self._change(flip=flip))
 
+        @self._delete.on_click
+        def _delete(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                self._ask_to_delete(event.client)
+
         @self._show.on_update
         async def _show(event: viser.GuiEvent[Any]) -> None:
             self._drawing.show(bool(event.target.value))
 
     def set_scene(self, scene: Scene) -> None:
-        """The report on another mesh is no longer true."""
+        """The report on another mesh is no longer true; that on the session's is kept for it."""
         self._scene = scene
-        if self._examined != scene.version:
-            self._forget()
+        if self._screen.live and self._examined and self._examined[0].version != scene.version:
+            self._examined = None
+        self._show_report()
 
     def frame(self, telemetry: Telemetry) -> None:
         """Nothing moves."""
 
     def read_out(self, telemetry: Telemetry) -> None:
-        """Nothing is counted."""
+        """What is kept, and what can be done just now."""
+        names = tuple(_labels(self._library.kept())) or (NONE,)
+        if names != tuple(self._files.options):
+            value = self._files.value if self._files.value in names else names[0]
+            self._files.options = names
+            self._files.value = value
+        self._files.visible = self._delete.visible = names != (NONE,)
+        self._offer()
+
+    def _ask_to_delete(self, client: viser.ClientHandle) -> None:
+        file = _labels(self._library.kept()).get(self._files.value)
+        if file is None:
+            return
+        need = [p.name for p in recordings() if str(file.path) in outline(p).meshes]
+        text = f"{file.name}, {size(file.size)}. It cannot be brought back."
+        if need:
+            listed = ", ".join(need[:5]) + (", …" if len(need) > 5 else "")
+            text += (
+                f" {len(need)} recording{'s' * (len(need) > 1)} cannot be replayed without it: "
+                f"{listed}."
+            )
+
+        def delete() -> None:
+            try:
+                self._library.delete(file.name, self._session.options.mesh)
+            except OSError as error:
+                self._tell(client, f"Not deleted: {error.strerror or error}.")
+            except ValueError as error:
+                self._tell(client, f"Not deleted: {error}.")
+
+        dialogs.ask(
+            client, self._escape, "Delete the mesh file?", text, "Delete", delete, color="red"
+        )
 
     def _ask(self, client: viser.ClientHandle, path: Path) -> None:
         """Ask the one who sent a file for what it does not say, then use it."""
         kind = meshes.kind(path.name) or ""
-        size = path.stat().st_size
+        length = path.stat().st_size
         said = kind in OWN_UNIT
         dialog = client.gui.add_modal("In which unit is this mesh?")
         with dialog:
             client.gui.add_html(
-                f"<div style='{_STYLE}'><b>{html.escape(path.name)}</b>, {size / 1e6:,.1f} MB. "
+                f"<div style='{_STYLE}'><b>{html.escape(path.name)}</b>, {size(length)}. "
                 + (
                     f"{kind.upper()} files say their unit; choose another if yours is wrong."
                     if said
@@ -124,23 +189,25 @@ class MeshTab:
                 hint="The mesh's own axis that is turned upwards.",
             )
             cancel = client.gui.add_button("Cancel", hint="Escape does the same.")
-        shut = functools.partial(_close, dialog.close)
-        self._escape.opened(client.client_id, shut)
+
+        def drop() -> None:
+            if dialogs.close(dialog):
+                shutil.rmtree(path.parent, ignore_errors=True)
+
+        self._escape.opened(client.client_id, drop)
 
         @units.on_click
         def _chosen(event: viser.GuiEvent[Any]) -> None:
             unit = str(event.target.value)
             named, facing = unit if unit in meshes.UNITS else None, str(up.value)
-            self._escape.closed(client.client_id, shut)
-            shut()
-            self._work(
-                client, lambda: self._change(mesh=str(path), unit=named, up=facing), path.name
-            )
+            self._escape.closed(client.client_id, drop)
+            if dialogs.close(dialog):
+                self._work(client, lambda: self._keep(path, unit=named, up=facing), path.name)
 
         @cancel.on_click
         def _cancelled(_event: viser.GuiEvent[Any]) -> None:
-            self._escape.closed(client.client_id, shut)
-            shut()
+            self._escape.closed(client.client_id, drop)
+            drop()
 
     def _work(
         self, client: viser.ClientHandle | None, job: Callable[[], None], about: str = ""
@@ -161,6 +228,19 @@ class MeshTab:
             self._busy.release()
             self._offer()
 
+    def _keep(self, path: Path, **wanted: Any) -> None:
+        """Use a file that has arrived, and keep it if it can be used."""
+        before = {file.name for file in self._library.kept()}
+        kept = self._library.add(path)
+        try:
+            self._change(mesh=str(kept), **wanted)
+        except Refused:
+            raise  # nothing is wrong with the file: it can be chosen later
+        except Exception:
+            if kept.name not in before:
+                self._library.delete(kept.name, self._session.options.mesh)
+            raise
+
     def _change(self, **wanted: Any) -> None:
         self._look(self._session.change(**wanted, progress=self._progress))
 
@@ -171,22 +251,35 @@ class MeshTab:
         )
         if scene is not self._session.scene:
             return
-        self._examined = scene.version
-        self._report.content = health.report(found)
         # Clear of the mesh as drawn, which for large ones is a thinned copy.
         lift = 0.04 * scene.surface.median_edge + (1e-3 * scene.surface.size) * scene.decimated
-        self._drawing.set(health.marks(found, scene.surface), lift)
-
-    def _forget(self) -> None:
-        self._examined = -1
-        self._report.content = (
-            f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press Examine.</div>"
+        self._examined = (
+            scene,
+            health.report(found),
+            health.marks(found, scene.surface),
+            lift,
         )
-        self._drawing.set(None)
-        self._offer()
+        if self._screen.live:
+            self._show_report(scene)
+
+    def _show_report(self, scene: Scene | None = None) -> None:
+        """The report and the marks of a scene, if it is examined; None: of what is drawn."""
+        scene = scene or self._scene
+        if (
+            scene is not None
+            and self._examined is not None
+            and self._examined[0].version == scene.version
+        ):
+            _, self._report.content, marks, lift = self._examined
+            self._drawing.set(marks, lift)
+        else:
+            self._report.content = _UNKNOWN
+            self._drawing.set(None)
 
     def _offer(self, busy: bool | None = None) -> None:
         busy = self._busy.locked() if busy is None else busy
+        self._upload.disabled = not self._screen.live
+        busy = busy or not self._screen.live
         repaired = self._session.options.repair
         self._examine.disabled = self._flip.disabled = busy
         self._repair.disabled = busy or repaired
@@ -204,8 +297,6 @@ class MeshTab:
             self._state.content = content
 
 
-def _close(close: Callable[[], None]) -> None:
-    # A double click closes a dialog twice.
-    with contextlib.suppress(KeyError), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        close()
+def _labels(kept: list[Kept]) -> dict[str, Kept]:
+    """The files by what they are called in the list."""
+    return {f"{file.name} ({size(file.size)})": file for file in kept}

@@ -15,6 +15,7 @@ import rich
 import viser
 from numpy.typing import NDArray
 
+from app.library import Library
 from app.loop import VIEW_PRIORITY, prefer_this_thread
 from app.messages import Telemetry
 from app.player import Moment
@@ -43,6 +44,7 @@ from app.view.screen import Screen
 from app.view.section import Section
 from app.view.signals import Signals
 from app.view.tool import Tool
+from app.view.uploads import Uploads
 from app.view.views import Views
 from app.watch import Crossing
 
@@ -114,7 +116,17 @@ class Page:
         self._following = camera.Following()
         self._escape = Escape(server, self._hand)
         self._section = Section(self._anatomy)
-        self._panel = Panel(server, session, self._hand, self._tell, self._escape, self._add_views)
+        library = Library()
+        self._panel = Panel(
+            server,
+            session,
+            self._hand,
+            self._tell,
+            self._escape,
+            self._add_views,
+            self._screen,
+            library,
+        )
         self._who = who.Who(server, WHO)
         Keys(server, session, self._hand, self._tell, self._views.commands())
         self._readouts = Readouts(server)
@@ -132,7 +144,10 @@ class Page:
             self._proxy,
             self._look,
             self._escape,
+            self._following,
             self._screen,
+            library,
+            Uploads(server, self._tell),
             scenario,
         )
         self._features: list[Feature] = [make(stage) for make in FEATURES]
@@ -169,7 +184,8 @@ class Page:
             return ""
         return (
             f"The page listens on {self._host}: anybody with the address above, token included, "
-            "can move the simulated tool, change its settings and upload meshes, unencrypted. "
+            "can move the simulated tool, change its settings, and upload and delete files of the "
+            "page, unencrypted. "
             "Without the token nobody is let in. "
             f"From other machines: {self._address(socket.gethostname())}"
         )
@@ -192,7 +208,7 @@ class Page:
     @property
     def shown(self) -> Moment:
         """What was drawn last: the session as it ran, or a replay."""
-        return self._shown
+        return self._screen.shown
 
     @property
     def dragging(self) -> bool:
@@ -241,7 +257,7 @@ class Page:
     def _frame(self) -> None:
         """Bring the scene up to the newest tick."""
         live = self._screen.live
-        shown = self._shown = self._screen.now()
+        shown = self._screen.now()
         scene, options, telemetry = shown.scene, shown.options, shown.telemetry
         with self._server.atomic():
             if scene.version != self._scene_version:
@@ -325,7 +341,7 @@ class Page:
         unwatched = self._session.unwatched
         extras = readouts.Extras(in_sphere, speed, joints, silent, self._count, where, unwatched)
         if self._screen.live:
-            banner = readouts.banner(telemetry, options, extras, self._session.clutched)
+            banner = readouts.banner(telemetry, options, extras, shown.clutched)
         else:
             banner = readouts.note(self._screen.caption)
         with self._server.atomic():
@@ -337,7 +353,7 @@ class Page:
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         """Move one client's camera to a preset; "Follow" also lets it go along, or stop that."""
-        shown = self._shown
+        shown = self._screen.shown
         step = shown.telemetry.step
         followed = client.client_id in self._following.clients
         self._following.stop(client.client_id)

@@ -15,14 +15,17 @@ import viser
 import meshes
 import robots
 import vf
+from app.library import Library
+from app.player import Moment
 from app.session import Session
-from app.settings import MESH, RANGES
+from app.settings import RANGES
 from app.view import palette, readouts, style
 from app.view.escape import Escape
 from app.view.fields import NumberField, show
 from app.view.hand import Hand, Tell
 from app.view.help import Help
 from app.view.keys import STEPS
+from app.view.screen import Screen
 
 RADII: dict[str, float | None] = {
     "auto": None,
@@ -55,6 +58,8 @@ class Panel:
         tell: Tell,
         escape: Escape,
         views: Callable[[], object],
+        screen: Screen,
+        library: Library,
     ) -> None:
         """`views` adds the folder of views where it belongs."""
         self._gui = server.gui
@@ -62,10 +67,13 @@ class Panel:
         self._session = session
         self._hand = hand
         self._tell = tell
+        self._screen = screen
+        self._library = library
+        self._settings: list[Any] = []  # controls that set the session's values
+        self._groups: list[Any] = []  # which cannot be disabled
         self._fields: list[NumberField] = []
         self._building = threading.Lock()
         self._note: str | None = None
-        self._files: dict[str, dict[str, Any]] = {}  # a file's name: how it was loaded
         self._autopilot_asked = 0.0  # monotonic time [s]
         self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
         self._banner = self._gui.add_html("", order=_BANNER_LINE)
@@ -82,31 +90,45 @@ class Panel:
         self._banner.content = text
 
     def sync(self) -> None:
-        """Show the session's values in every control that shows another one."""
-        options, telemetry = self._session.options, self._session.latest()
+        """Show the values of what is on the screen in every control that shows another one.
+
+        While that is a replay they cannot be changed.
+        """
+        live, shown = self._screen.live, self._shown()
+        options, telemetry = shown.options, shown.telemetry
+        building = self._building.locked()
+        for control in self._settings:
+            control.disabled = not live or (building and control in (self._mesh, self._robot))
+        for group in self._groups:
+            group.visible = live
         show(self._rule, options.rule)
         self._rule_help.content = _note(palette.RULE_HELP[options.rule], lines=2)
         show(self._radius_preset, _preset(options.radius))
-        self._radius.disabled = options.radius is None
+        self._radius.disabled = options.radius is None or not live
         for field in self._fields:
             field.sync()
         if time.monotonic() > self._autopilot_asked + 0.5:  # else the loop may not have seen it
             show(self._autopilot, telemetry.autopilot)
-        show(self._clutch, self._session.clutched)
+        show(self._clutch, shown.clutched)
         show(self._lock, options.lock_orientation)
-        if self._building.locked():
+        if building:
             return
-        scene = self._session.scene
-        if scene.mesh_name not in meshes.catalogue():
-            self._remember()
-        if scene.mesh_name not in self._mesh.options:
-            self._mesh.options = (*self._mesh.options, scene.mesh_name)
+        scene = shown.scene
+        if live:
+            self._library.note(self._session.options)
+        known = dict.fromkeys([*meshes.catalogue(), *self._library.names(), scene.mesh_name])
+        if tuple(known) != tuple(self._mesh.options):
+            self._mesh.options = tuple(known)
         show(self._mesh, scene.mesh_name)
         show(self._robot, scene.robot)
         note = _note(" ".join((_about(scene.mesh_name), *scene.notes)).strip(), lines=3)
         if note != self._note:
             self._note = note
             self._scene_note.content = note
+
+    def _shown(self) -> Moment:
+        """What is on the screen, as it is by now."""
+        return self._screen.now() if self._screen.live else self._screen.shown
 
     def _drive_controls(self) -> None:
         session = self._session
@@ -183,13 +205,14 @@ class Panel:
                 "Robot", tuple(robots.names()), initial_value=scene.robot
             )
             self._scene_note = self._gui.add_html("")
+        self._settings += [self._mesh, self._robot]
 
         # The choice is read at once: until the change has begun, `sync` may put the control back.
         @self._mesh.on_update
         async def _mesh(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 name = str(event.target.value)
-                self._begin_change(event.client, self._files.get(name, {"mesh": name}))
+                self._begin_change(event.client, self._library.settings(name) or {"mesh": name})
 
         @self._robot.on_update
         async def _robot(event: viser.GuiEvent[Any]) -> None:
@@ -233,12 +256,13 @@ class Panel:
 
     def _buttons(self, label: str, hint: str, orders: dict[str, Callable[[], None]]) -> None:
         group = self._gui.add_button_group(label, tuple(orders), hint=hint)
+        self._groups.append(group)
 
         @group.on_click
         async def _clicked(event: viser.GuiEvent[Any]) -> None:
             order = orders.get(str(event.target.value))
             if order is not None:
-                self._hand.submit(order)
+                self._hand.submit(lambda _client: order(), event.client)
 
     def _number(
         self,
@@ -250,10 +274,10 @@ class Panel:
         hint: str,
     ) -> viser.GuiNumberHandle[float]:
         """A field for one of `RANGES`, `scale` of its units to one of SI."""
-        session, (low, high) = self._session, RANGES[option]
+        low, high = RANGES[option]
 
         def shown() -> float | None:
-            value = getattr(session.options, option)
+            value = getattr(self._shown().options, option)
             return None if value is None else value * scale
 
         value = shown()
@@ -265,6 +289,7 @@ class Panel:
             step=step,
             hint=hint,
         )
+        self._settings.append(control)
         self._fields.append(
             NumberField(
                 control,
@@ -279,6 +304,8 @@ class Panel:
 
     def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
         """Hand a control's value to the session; then show what the session made of it."""
+
+        self._settings.append(control)
 
         def order(client: viser.ClientHandle, value: Any) -> None:
             try:
@@ -305,11 +332,6 @@ class Panel:
         elif self._session.options.radius is None:
             self._session.set_radius(float(self._radius.value) * 1e-3)
 
-    def _remember(self) -> None:
-        """Keep how the present mesh file was loaded, to be able to come back to it."""
-        options = self._session.options
-        self._files[self._session.scene.mesh_name] = {name: getattr(options, name) for name in MESH}
-
     def _begin_change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
         """Another mesh or robot, in a thread of its own; the page goes on meanwhile."""
         threading.Thread(
@@ -330,7 +352,6 @@ class Panel:
         finally:
             self._building.release()
             try:
-                self._mesh.disabled = self._robot.disabled = False
                 self.sync()
             except RuntimeError:
                 if not self._server.get_event_loop().is_closed():

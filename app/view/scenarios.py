@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import html
+import itertools
+import shutil
+import tempfile
 import threading
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import viser
 
+import meshes
 from app.course import present, stage
 from app.messages import Telemetry
 from app.presets import PRESETS
-from app.scenario import dumps
+from app.scenario import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
 from app.scene import Scene
-from app.settings import format_length
-from app.view import palette
+from app.settings import OptionError, format_length
+from app.view import camera, palette
 from app.view.feature import Stage
+from app.view.units import VIEW_SCALE
+from app.view.uploads import Receiver
 
 ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
 FILE_NAME = "scenario.json"
@@ -33,6 +42,7 @@ class ScenarioChoice:
     def __init__(self, stage: Stage) -> None:
         self._session, self._server = stage.session, stage.server
         self._hand, self._tell, self._look = stage.hand, stage.tell, stage.look
+        self._following, self._screen, self._library = stage.following, stage.screen, stage.library
         self._busy = threading.Lock()
         self._scenarios = dict(PRESETS)
         begun = stage.scenario
@@ -43,14 +53,21 @@ class ScenarioChoice:
         self._arriving = False  # its scene is going to be drawn for the first time
         gui, names = stage.server.gui, tuple(self._scenarios)
         with gui.add_folder("Scenario", order=ORDER):
-            self._choice = gui.add_dropdown(
+            self._choice: Any = gui.add_dropdown(
                 "Show", names, initial_value=names[0] if begun is None else begun.name
             )
-            buttons = gui.add_button_group(
+            self._buttons = gui.add_button_group(
                 "Set-up",
                 ("Load", "Save"),
-                hint="Load begins the scenario above. Save downloads what is set now, as a small "
-                "file for --scenario.",
+                hint="Load begins the scenario above. Save downloads what is set now and how you "
+                "look at it, as a small file to open here again or for --scenario.",
+            )
+            self._open = gui.add_upload_button(
+                "Open a scenario file",
+                hint="One that was saved here, or written by hand.",
+                mime_type=".json",
+                icon=viser.Icon.FOLDER_OPEN,
+                color="gray",
             )
             self._sentence = gui.add_html("")
         self._tell_about()
@@ -61,12 +78,24 @@ class ScenarioChoice:
                 self._tell_about()
 
         # A plain function: viser runs it in its pool, where building may take its time.
-        @buttons.on_click
+        @self._buttons.on_click
         def _clicked(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 order = {"Load": self._load, "Save": self._save}.get(str(event.target.value))
                 if order is not None:
                     order(event.client)
+
+        stage.uploads.take(
+            self._open,
+            Receiver(
+                ("json",),
+                SIZE_LIMIT,
+                "",
+                lambda: Path(tempfile.mkdtemp(prefix="vf-sandbox-")),
+                lambda _length: None,
+                self._opened,
+            ),
+        )
 
         @stage.server.on_client_connect
         async def _came(client: viser.ClientHandle) -> None:
@@ -85,19 +114,48 @@ class ScenarioChoice:
                 self._show_to(client)
 
     def read_out(self, telemetry: Telemetry) -> None:
-        """Nothing is counted."""
+        """While a replay is shown no scenario is begun."""
+        live = self._screen.live
+        self._choice.disabled = self._open.disabled = not live
+        self._buttons.visible = live
 
     def _show_to(self, client: viser.ClientHandle) -> None:
         if self._shown is None or self._session.scene.version != self._shown[1]:
             return
-        camera = self._shown[0].camera
-        if camera is not None:
-            self._look(client, camera.capitalize())
+        look = self._shown[0].camera
+        if isinstance(look, Viewpoint):
+            eye, look_at = meshes.transformed(
+                self._session.scene.T_base_mesh, [look.eye, look.look_at]
+            )
+            self._following.stop(client.client_id)
+            camera.move(client, camera.View(eye, look_at))
+        elif look is not None:
+            self._look(client, look.capitalize())
 
     def _load(self, client: viser.ClientHandle) -> None:
         scenario = self._scenarios.get(str(self._choice.value))
-        if scenario is None:
+        if scenario is not None:
+            self._begin(client, scenario)
+
+    def _opened(self, client: viser.ClientHandle, path: Path) -> None:
+        """A scenario's file has arrived: it is in the list from now on, and begins."""
+        try:
+            scenario = loads(path.read_bytes(), find=self._library.find)
+        except (OptionError, OSError) as error:
+            self._tell(client, f"{path.name} is not opened: {error}.")
             return
+        finally:
+            shutil.rmtree(path.parent, ignore_errors=True)
+        for number in itertools.count(1):
+            name = scenario.name if number == 1 else f"{scenario.name}-{number}"
+            if self._scenarios.setdefault(name, scenario) == scenario:
+                break
+        if name not in self._choice.options:
+            self._choice.options = (*self._choice.options, name)
+        self._choice.value = name
+        self._begin(client, self._scenarios[name])
+
+    def _begin(self, client: viser.ClientHandle, scenario: Scenario) -> None:
         if not self._busy.acquire(blocking=False):
             self._tell(client, "Another scenario is being loaded: wait until it is there.")
             return
@@ -119,13 +177,25 @@ class ScenarioChoice:
         )
         try:
             scenario = present(self._session, "my-set-up", about)
-            text = dumps(scenario)
+            text = dumps(replace(scenario, camera=self._seen_by(client)))
         except ValueError as error:
             self._tell(client, f"Not saved: {error}")
             return
         client.send_file_download(FILE_NAME, text.encode(), save_immediately=True)
         if mesh != options.mesh:
-            self._tell(client, f"Keep {FILE_NAME} beside {mesh}: it looks for the mesh there.")
+            self._tell(
+                client,
+                f"It names {mesh}, which is known here; for --scenario keep {FILE_NAME} beside it.",
+            )
+
+    def _seen_by(self, client: viser.ClientHandle) -> Viewpoint | str:
+        """How a client looks at the scene."""
+        if client.client_id in self._following.clients:
+            return "follow"
+        T_base_mesh = self._session.scene.T_base_mesh
+        places = np.array([client.camera.position, client.camera.look_at]) / VIEW_SCALE
+        eye, look_at = (places - T_base_mesh[:3, 3]) @ T_base_mesh[:3, :3]
+        return Viewpoint(tuple(eye.tolist()), tuple(look_at.tolist()))
 
     def _tell_about(self) -> None:
         chosen = self._scenarios.get(str(self._choice.value))  # clients may send anything

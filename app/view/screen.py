@@ -14,7 +14,7 @@ class Screen:
     Attributes:
         instead: what to show instead of the session; None: the session.
         caption: what the banner says meanwhile.
-        shown: what `now` said last.
+        shown: what `now` returned last.
     """
 
     def __init__(self, session: Session) -> None:
@@ -33,9 +33,9 @@ class Screen:
         instead = self.instead
         if instead is not None:
             self.shown = instead()
-            return self.shown
-        session = self._session
-        # Telemetry first: what it refers to is in force by then, or will be.
-        telemetry = session.latest()
-        self.shown = Moment(session.scene, session.options, telemetry)
+        else:
+            session = self._session
+            # Telemetry first: what it refers to is in force by then, or will be.
+            telemetry = session.latest()
+            self.shown = Moment(session.scene, session.options, telemetry, session.clutched)
         return self.shown

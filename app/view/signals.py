@@ -125,13 +125,13 @@ class Signals:
 
     def __init__(self, stage: Stage) -> None:
         gui = stage.server.gui
-        self._stage, self._session = stage, stage.session
-        self._live = True
+        self._screen = stage.screen
         self._history = History()
         self._trail = trail.Trail(stage.server.scene)
         self._cleared = False
         self._due = True  # draw at once, whatever the pace
         self._scene: Scene = stage.session.scene
+        self._session: tuple[History, trail.Path, Scene] | None = None  # waits for a replay's end
         self._sampled = -math.inf  # simulated time of the newest sample [s]
         self._drawn = 0.0  # when the plots were last sent [s]
         self._marked = 0.0  # of the newest point of the trail [s]
@@ -159,19 +159,24 @@ class Signals:
 
     def set_scene(self, scene: Scene) -> None:
         """Another anatomy has another past."""
+        self._change_sides()
+        if scene.version == self._scene.version:
+            return
         self._scene = scene
         self._forget()
 
     def frame(self, telemetry: Telemetry) -> None:
         """Sample and draw, each at its own pace."""
+        self._change_sides()
         if self._cleared:
             self._cleared = False
             self._forget()
-        if self._stage.screen.live != self._live:
-            self._live = self._stage.screen.live  # a replay has a past of its own
-            self._forget()
         if telemetry.scene != self._scene.version or telemetry.step is None:
             return
+        if telemetry.time < self._sampled:  # a replay that goes back
+            self._history.clear()
+            self._trail.path.lift()
+            self._again()
         self._mark(telemetry)
         if not 0.0 <= telemetry.time - self._sampled < PERIOD:
             self._sampled = telemetry.time
@@ -187,8 +192,26 @@ class Signals:
     def read_out(self, telemetry: Telemetry) -> None:
         """Nothing here goes at that pace."""
 
+    def _change_sides(self) -> None:
+        """A replay has a past of its own; the session's is there again when it is left."""
+        if self._screen.live == (self._session is None):
+            return
+        if self._session is None:
+            self._session = self._history, self._trail.path, self._scene
+            self._history, self._trail.path = History(), trail.Path()
+        else:
+            self._history, self._trail.path, self._scene = self._session
+            self._session = None
+        self._trail.draw()
+        self._again()
+
+    def _again(self) -> None:
+        """Time has jumped: sample, mark and draw at once."""
+        self._sampled = self._drawn = self._marked = -math.inf
+        self._due = True
+
     def _mark(self, telemetry: Telemetry) -> None:
-        mode, rule = self._mode.value, self._session.options.rule
+        mode, rule = self._mode.value, self._screen.shown.options.rule
         if mode == NEVER or (mode == WHEN_OFF and rule != "off"):
             self._trail.path.lift()
             return
@@ -202,10 +225,9 @@ class Signals:
 
     def _forget(self) -> None:
         self._history.clear()
-        self._sampled = -math.inf
         self._trail.path.clear()
         self._trail.draw()
-        self._due = True
+        self._again()
 
     def _draw(self) -> None:
         times, values = self._history.shown()

@@ -29,7 +29,17 @@ from app.engine import Engine, Orders
 from app.messages import Command, LoopStats, Telemetry
 from app.presets import PRESETS, find
 from app.recording.read import read as read_recording
-from app.scenario import SETTINGS, Scenario, ScenarioError, Waypoint, dumps, loads, read, write
+from app.scenario import (
+    SETTINGS,
+    Scenario,
+    ScenarioError,
+    Viewpoint,
+    Waypoint,
+    dumps,
+    loads,
+    read,
+    write,
+)
 from app.scene import Scene
 from app.session import Session
 from app.settings import RANGES, OptionError, Options
@@ -231,7 +241,9 @@ scenarios = st.builds(
     options=options,
     proxy=waypoints.map(lambda found: tuple(Waypoint(*w) for w in sorted(found))),
     wxyz=st.none() | numbers.map(lambda a: (math.cos(a), 0.0, math.sin(a), 0.0)),
-    camera=st.none() | st.sampled_from(["arm", "follow"]),
+    camera=st.none()
+    | st.sampled_from(["arm", "follow"])
+    | st.builds(lambda p: Viewpoint(p, (p[0] + 0.1, p[1], p[2])), points),
     paused=st.booleans(),
 )
 
@@ -314,6 +326,11 @@ POINT = {"time": 0.0, "at": "0mm,0mm,0mm"}
         (changed(damage="smashed"), "unknown damage 'smashed': choose one of none, "),
         (changed(up="w"), "unknown axis 'w': choose one of z, -z"),
         (changed(camera="hand"), 'unknown camera "hand": choose one of arm, anatomy, site'),
+        (changed(camera={"eye": "0,0,1m"}), 'must be a name or {"eye": "x,y,z", "look_at"'),
+        (changed(camera={"eye": "0,0,1m", "look_at": "auto"}), "has no place: auto is none"),
+        (changed(camera={"eye": "0,0,21m", "look_at": "0,0,0"}), "camera's eye at 0mm,0mm,21000mm"),
+        (changed(camera={"eye": "1m,0,0", "look_at": "1m,0,0"}), "eye must be 0.1 mm or more from"),
+        (changed(camera=["arm"]), '"camera": ["arm"]: must be a text or null'),
         (changed(radius=5), '"radius": 5: must be a text such as "5mm" or "auto"'),
         (changed(radius="5 furlongs"), "\"radius\": \"5 furlongs\": '5 furlongs' is not a length"),
         (changed(radius="1e999m"), "radius inf is outside"),
@@ -537,3 +554,16 @@ def test_a_scenario_that_cannot_be_leaves_the_session_as_it_is() -> None:
         assert session.scene is scene
         assert session.options == options
         assert not session.latest().paused
+
+
+def test_a_file_without_a_folder_finds_meshes_by_their_names_alone() -> None:
+    files = {"scan.stl": "/kept/scan.stl/scan.stl", "cut.csv": "/data/cut.csv"}
+    text = changed(mesh="scan.stl", path="cut.csv")
+    found = loads(text, find=files.get)
+    assert (found.options.mesh, found.options.path) == (files["scan.stl"], files["cut.csv"])
+    assert json.loads(dumps(found))["mesh"] == "scan.stl"
+    for mesh in ("other.stl", "../scan.stl", "a/scan.stl", "scan.stl/scan.stl"):
+        with pytest.raises(ScenarioError, match="is not known here: bring it first"):
+            loads(changed(mesh=mesh), find=files.get)
+    with pytest.raises(ScenarioError, match="relative"):
+        loads(changed(mesh="/kept/scan.stl/scan.stl"), find=files.get)

@@ -493,3 +493,78 @@ def test_unknown_names_list_the_valid_ones() -> None:
         Session(Options(rule="x"))
     with pytest.raises(meshes.MeshError, match="skull"):
         Session(Options(mesh="x"))
+
+
+@pytest.mark.parametrize("ran", [True, False])
+def test_a_suspended_session_takes_no_order_and_goes_on_as_it_was(
+    session: Session, wait_until: Wait, moved: Moved, tmp_path: Path, ran: bool
+) -> None:
+    start = session.scene.T_base_start
+    session.drive(moved(start, dx=0.002, dz=-0.001), held=True)
+    wait_until(lambda: session.latest().tick > 20)
+    if not ran:
+        session.pause()
+    wait_until(lambda: session.latest().paused is not ran)
+    options, scene, handle = session.options, session.scene, session.handle
+    session.suspend("a replay is shown")
+    assert session.suspended
+    wait_until(lambda: session.latest().paused)
+    orders: list[Callable[[], object]] = [
+        lambda: session.drive(moved(start, dx=0.004)),
+        lambda: session.nudge([1e-3, 0.0, 0.0]),
+        session.recall,
+        lambda: session.clutch(True),
+        session.pause,
+        session.resume,
+        session.single_step,
+        session.reset,
+        lambda: session.set_autopilot(True),
+        lambda: session.put(start),
+        lambda: session.perform(session.scene.autopilot),
+        lambda: session.set_rule("off"),
+        lambda: session.set_radius(1e-3),
+        lambda: session.set_force_gain(10.0),
+        lambda: session.set_standoff(1e-4),
+        lambda: session.set_tip_radius(1e-3),
+        lambda: session.set_corridor(None) if options.corridor else session.set_rule("all"),
+        lambda: session.set_scale(0.5),
+        lambda: session.set_orientation_lock(True),
+        lambda: session.set_tip_speed(0.1),
+        lambda: session.change(mesh="stairs"),
+        lambda: session.record(tmp_path / "run.vfrec"),
+        lambda: session.suspend("another"),
+    ]
+    for order in orders:
+        with pytest.raises(Refused, match="a replay is shown"):
+            order()
+    session.touch()  # of a drag that is not told yet
+    assert (session.options, session.scene) == (options, scene)
+    assert session.handle is handle
+    assert not list(tmp_path.iterdir())
+    tick = session.latest().tick
+    session.go_on()
+    session.go_on()
+    assert not session.suspended
+    if ran:
+        # The drag was let go: it does not go stale.
+        wait_until(lambda: session.latest().tick > tick + 700)
+        assert not session.latest().stale
+    else:
+        assert session.latest().tick == tick
+        session.resume()
+    wait_until(rests_at(session, np.array(moved(start, dx=0.002, dz=-0.001).translation)))
+    assert session.change(mesh="stairs").mesh_name == "stairs"
+
+
+def test_no_session_is_suspended_while_another_mesh_is_on_its_way(session: Session) -> None:
+    asked: list[str] = []
+
+    def suspend(_text: str) -> None:
+        try:
+            session.suspend("a replay is shown")
+        except Refused as reason:
+            asked.append(str(reason))
+
+    session.change(mesh="stairs", progress=suspend)
+    assert set(asked) == {"another change is under way: wait until it is done"}
+    assert not session.suspended

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import socket
+import threading
 import time
 from collections.abc import Iterator
 
@@ -17,7 +18,7 @@ from websockets.typing import Subprotocol
 
 from app.session import Session
 from app.settings import Options
-from app.view import Page, who
+from app.view import Page, recorder, who
 from app.view.units import VIEW_SCALE
 
 
@@ -157,6 +158,67 @@ def test_panel_values_are_checked_by_the_server(
     assert options.standoff == 20e-6
     assert options.tip_radius == 0.0
     assert options.scale <= 2.0
+
+
+def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_session(
+    session: Session, page: Page, attacker: ClientConnection
+) -> None:
+    session.reset()
+    recorder.folder().mkdir(parents=True, exist_ok=True)
+    tape = session.record(recorder.folder() / "run.vfrec")
+    wait_until(lambda: tape.rows > 20, "ticks")
+    session.stop_recording()
+    controls = page.server.gui._gui_input_handle_from_uuid
+
+    def use(label: str, value: object) -> None:
+        control = next(c for c in controls.values() if getattr(c, "label", None) == label)
+        send(attacker, "GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
+
+    listed = next(c for c in controls.values() if getattr(c, "label", None) == "Recording")
+    wait_until(lambda: listed.value == tape.path.name, "it to be in the list")
+    wxyz, position = page.gizmo_pose
+    aside = position + np.array([0.2, 0.0, 0.0])
+    gizmo(attacker, "Start")
+    gizmo(attacker, "Update", wxyz.tolist(), aside.tolist())
+    wait_until(lambda: np.allclose(VIEW_SCALE * session.handle.translation, aside), "the drag")
+    options, scene, handle = session.options, session.scene, session.handle
+    use("Replay", True)
+    wait_until(lambda: session.suspended, "the replay")
+    wait_until(lambda: not page.dragging, "the hand to be empty")
+    gizmo(attacker, "Update", wxyz.tolist(), position.tolist())
+    gizmo(attacker, "End")
+    gizmo(attacker, "Start")
+    gizmo(attacker, "Update", wxyz.tolist(), position.tolist())
+    gizmo(attacker, "End")
+    for label, value in (
+        ("Rule", "off"), ("Mesh", "cube"), ("Robot", "point"), ("Motion sphere", "1 mm"),
+        ("Radius [mm]", 1.0), ("Tip radius [mm]", 1.0), ("Standoff [µm]", 500.0),
+        ("Autopilot", True), ("Clutch", True), ("Lock orientation", True), ("Scale", 0.5),
+        ("Speed [mm/s]", 5.0), ("Force [N/m]", 5.0), ("Stay by the path", True),
+        ("Freeze and explore", True), ("Examine", True), ("Repair", True), ("Flip", True),
+        ("Record", True), ("Loop", "Run"), ("Loop", "Step"), ("Proxy", "Reset"),
+        ("Proxy", "Recall to tool"), ("Set-up", "Load"),
+    ):  # fmt: skip
+        use(label, value)
+    # Messages are taken in their order: once this one is, the hand has all of those before it.
+    use("Speed", "1/4")
+    speed = next(c for c in controls.values() if getattr(c, "label", None) == "Speed")
+    wait_until(lambda: speed.value == "1/4", "all of it to arrive")
+    done = threading.Event()
+    page._hand.submit(done.set)
+    assert done.wait(20.0)
+    assert (session.options, session.scene) == (options, scene)
+    assert session.handle is handle
+    assert session.suspended
+    assert session.latest().paused
+    use("Back to the session", True)
+    wait_until(lambda: not session.suspended, "the session")
+    assert (session.options, session.scene) == (options, scene)
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 700, "the session to go on")
+    assert not session.latest().stale, "the drag that was cut short is no lost hand"
+    rule = next(c for c in controls.values() if getattr(c, "label", None) == "Rule")
+    wait_until(lambda: rule.value == options.rule and not rule.disabled, "the controls")
 
 
 def test_one_client_has_the_proxy_and_the_others_are_told_who(

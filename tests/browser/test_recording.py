@@ -16,7 +16,7 @@ from app import replay
 from app.recording.read import read
 from app.session import Session
 from app.settings import Options
-from app.view import Page, recorder
+from app.view import Page, pictures, recorder
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     place = tmp_path_factory.mktemp("recordings")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "folder", lambda: place)
-        patch.setattr(recorder, "FRAMES", 4)  # a software renderer takes its time
+        patch.setattr(pictures, "FRAMES", 4)  # a software renderer takes its time
         page = Page(session, "127.0.0.1", 0)
         yield page
         page.close()
@@ -123,6 +123,124 @@ def test_a_user_records_replays_scrubs_and_takes_pictures(
     visitor.press("Back to the session")
     wait_until(lambda: session.latest().tick > stood + 50, "the session to go on")
     assert not visitor.complaints
+
+
+@pytest.mark.slow
+def test_while_a_replay_is_shown_the_session_waits_and_all_is_back_afterwards(
+    session: Session, page: Page, visitor: Visitor
+) -> None:
+    """The recording is of another mesh and rule than the session has by then, and of a corridor."""
+    box = visitor.tab.get_by_role
+    session.change(mesh="skull-coarse")
+    session.set_rule("all")
+    session.set_corridor(2e-3)
+    session.set_autopilot(True)
+    visitor.press("Record")
+    wait_until(lambda: session.tape is not None and session.tape.rows > 300, "ticks")
+    visitor.press("Stop recording")
+    wait_until(lambda: not session.tape.running, "the file")
+    session.set_autopilot(False)
+    session.change(mesh="cube")
+    session.set_rule("paper")
+    session.set_corridor(None)
+    wait_until(lambda: page.shown.scene.mesh_name == "cube", "the cube")
+    visitor.press("Arm")
+    wait_until(lambda: visitor.client.camera.position[2] > 3.0, "the view of the arm")
+    seen_from = np.array(visitor.client.camera.position)
+    options, scene, handle = session.options, session.scene, session.handle
+    wait_until(lambda: box("button", name="Replay", exact=True).is_enabled(), "the list")
+    visitor.press("Replay")
+    banner(visitor, "Replay: tick").wait_for(timeout=30_000)
+
+    # The page shows what is of the recording, and none of it can be changed.
+    wait_until(
+        lambda: box("combobox", name="Mesh", exact=True).input_value() == "skull-coarse", "it"
+    )
+    assert box("combobox", name="Rule", exact=True).input_value() == "all"
+    nodes = page.server.scene._handle_from_node_name
+    drawn = "/corridor/name", "/corridor/left"
+    wait_until(lambda: all(nodes[name].visible for name in drawn), "the cut and its corridor")
+    for name in ("Mesh", "Robot", "Rule", "Motion sphere", "Show"):
+        assert not box("combobox", name=name, exact=True).is_enabled(), name
+    visitor.tab.get_by_role("tab", name="Mesh", exact=True).click()
+    for name in ("Examine", "Repair", "Flip"):
+        assert not box("button", name=name, exact=True).is_enabled(), name
+    visitor.tab.get_by_role("tab", name="Record", exact=True).click()
+    assert not box("button", name="Record", exact=True).is_enabled()
+    for name in ("Run", "Pause", "Step", "Recall to tool", "Reset", "Load", "Save"):
+        assert box("button", name=name, exact=True).count() == 0, name
+    visitor.picture("replay-of-another-scene")
+    # Nor is there a way around the controls.
+    visitor.tab.keyboard.press("j")
+    visitor.tab.get_by_text("Not nudged: a replay is shown").first.wait_for(timeout=20_000)
+    assert not nodes["/proxy/gizmo"].visible
+    assert (session.options, session.scene) == (options, scene)
+    assert session.handle is handle
+    assert session.latest().paused
+    visitor.press("▶")
+    first = page.shown.telemetry.tick
+    wait_until(lambda: page.shown.telemetry.tick == first + 1 or first > 0, "a step of the replay")
+
+    visitor.press("Back to the session")
+    wait_until(lambda: page.shown.scene is scene, "the cube again")
+    assert (session.options, session.scene) == (options, scene)
+    wait_until(lambda: box("combobox", name="Mesh", exact=True).input_value() == "cube", "cube")
+    wait_until(lambda: not any(nodes[name].visible for name in drawn), "the cut to go")
+    for name in ("Mesh", "Robot", "Rule", "Motion sphere", "Show"):
+        wait_until(box("combobox", name=name, exact=True).is_enabled, name)
+    for name in ("Run", "Reset", "Load"):
+        box("button", name=name, exact=True).wait_for(timeout=20_000)
+    tick = session.latest().tick
+    wait_until(lambda: session.latest().tick > tick + 50, "the session to go on")
+    wait_until(
+        lambda: np.abs(visitor.client.camera.position - seen_from).max() < 1e-3, "the view back"
+    )
+    assert not visitor.complaints
+
+
+@pytest.mark.slow
+def test_recordings_are_renamed_and_deleted_once_that_is_confirmed(
+    session: Session, visitor: Visitor, sound_recording: Path
+) -> None:
+    place = sound_recording.parent
+    chosen = visitor.tab.get_by_role("combobox", name="Recording", exact=True)
+    wait_until(lambda: chosen.input_value() == sound_recording.name, "it to be in the list")
+    visitor.tab.get_by_text("ticks, ").first.wait_for()
+    visitor.press("Rename")
+    dialog = visitor.tab.get_by_role("dialog")
+    dialog.get_by_role("textbox").fill("../../Übung 頭")
+    dialog.get_by_role("button", name="Rename", exact=True).click()
+    wait_until(lambda: chosen.input_value() == "Übung 頭.vfrec", "its new name")
+    assert (place / "Übung 頭.vfrec").exists()
+    assert not sound_recording.exists()
+    visitor.press("Delete recording")
+    visitor.picture("recording-delete")
+    dialog.get_by_role("button", name="Cancel", exact=True).click()
+    assert (place / "Übung 頭.vfrec").exists()
+    visitor.press("Delete recording")
+    visitor.tab.get_by_text("It cannot be brought back").wait_for()
+    dialog.get_by_role("button", name="Delete", exact=True).click()
+    wait_until(lambda: not (place / "Übung 頭.vfrec").exists(), "it to be gone")
+    wait_until(lambda: chosen.input_value() != "Übung 頭.vfrec", "the list to say so")
+    # One that is being written cannot be touched.
+    visitor.press("Record")
+    wait_until(lambda: session.tape is not None and session.tape.rows > 0, "ticks")
+    going = session.tape.path
+    wait_until(lambda: chosen.input_value() == going.name, "it to be in the list")
+    visitor.press("Delete recording")
+    visitor.tab.get_by_text("is still being recorded").first.wait_for()
+    visitor.press("Stop recording")
+    wait_until(lambda: not session.tape.running, "the file")
+    assert going.exists()
+
+
+@pytest.fixture
+def sound_recording(session: Session, page: Page) -> Path:
+    """A recording that is in the list, the newest one."""
+    tape = session.record(recorder.folder() / "run.vfrec")
+    wait_until(lambda: tape.rows > 50, "ticks")
+    session.stop_recording()
+    return tape.path
 
 
 def tool_on_page(page: Page) -> np.ndarray:

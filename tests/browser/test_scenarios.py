@@ -111,3 +111,56 @@ def test_saves_what_is_set_and_starts_with_it_again(
     p = meshes.transformed(session.scene.T_base_mesh, [saved.proxy[0].at])[0]
     np.testing.assert_allclose(p, session.handle.translation, atol=1e-9)
     assert visitor.complaints == []
+
+
+def test_opens_what_was_saved_and_looks_at_it_from_the_same_place(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    session.change(mesh="stairs")
+    session.set_radius(1.25e-3)
+    session.nudge([2e-3, 0.0, 3e-3])
+    wait_until(lambda: session.latest().target is not None, "the proxy")
+    visitor.press("Anatomy")
+    box = visitor.canvas_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    before = np.array(visitor.client.camera.position)
+    wait_until(lambda: (visitor.client.camera.position == before).all(), "the camera to rest")
+    visitor.tab.mouse.move(x, y + 0.3 * box["height"])
+    visitor.tab.mouse.down(button="left")
+    visitor.tab.mouse.move(x + 90, y + 0.35 * box["height"], steps=5)
+    visitor.tab.mouse.up(button="left")
+    wait_until(
+        lambda: np.linalg.norm(visitor.client.camera.position - before) > 0.05, "the view to turn"
+    )
+    with visitor.tab.expect_download(timeout=60_000) as download:
+        visitor.press("Save")
+    path = tmp_path / "mine.json"
+    download.value.save_as(path)
+    handle, options = np.array(session.handle.translation), session.options
+    eye = np.array(visitor.client.camera.position)
+    look_at = np.array(visitor.client.camera.look_at)
+
+    visitor.choose("Show", "thin-plate-both-sides")
+    visitor.press("Load")
+    wait_until(lambda: session.scene.mesh_name == "thin-plate", "another scene")
+    wait_until(lambda: session.latest().autopilot, "the hand")
+    with visitor.tab.expect_file_chooser() as chooser:
+        visitor.press("Open a scenario file")
+    chooser.value.set_files(path)
+    wait_until(lambda: session.scene.mesh_name == options.mesh, "the scene that was saved")
+    wait_until(lambda: session.options == options, "its settings")
+    wait_until(lambda: np.abs(session.handle.translation - handle).max() < 1e-9, "its proxy")
+    camera = visitor.client.camera
+    wait_until(lambda: np.abs(camera.position - eye).max() < 2e-3, "its camera")
+    assert np.abs(camera.look_at - look_at).max() < 2e-3
+    show = visitor.tab.get_by_role("combobox", name="Show", exact=True)
+    assert show.input_value() == "my-set-up"
+    visitor.picture("scenario-opened")
+    # One that is none is refused with the reason, and what was there stays.
+    path.write_text('{"format": 1, "name": "x", "about": "x", "mesh": "../../secret.stl"}')
+    with visitor.tab.expect_file_chooser() as chooser:
+        visitor.press("Open a scenario file")
+    chooser.value.set_files(path)
+    visitor.tab.get_by_text("is not known here: bring it first").first.wait_for()
+    assert session.scene.mesh_name == options.mesh
+    assert visitor.complaints == []

@@ -120,6 +120,7 @@ class InspectorTab:
 
     def read_out(self, telemetry: Telemetry) -> None:
         self._freeze.value = self._exploring
+        self._freeze.disabled = self._cases.disabled = not self._stage.screen.live
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
         self._intro.visible = not self._on

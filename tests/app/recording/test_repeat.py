@@ -13,13 +13,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from forgery import forged, npy
+from runs import a_run
 
 from app import player, replay, table
 from app import scene as scenes
 from app.commands import replay as command
+from app.engine import Engine, Orders
+from app.messages import Command, LoopStats
 from app.recording.format import COMPARED, RecordingError
 from app.recording.read import read
+from app.recording.write import Recorder
 from app.session import Session
 from app.settings import Options
 
@@ -243,3 +248,37 @@ def test_a_replay_seeks_to_the_row_whose_time_is_given_in_milliseconds(dt: float
         assert abs(times[transport.row()] - times[row]) <= 0.5e-3
         if dt >= 0.001:
             assert transport.row() == row
+
+
+def test_one_order_that_counts_from_the_first_row_to_the_last_is_repeated(tmp_path: Path) -> None:
+    scene = scenes.build(CUBE, 1)
+    plant = scenes.plant(scene, CUBE)
+    engine = Engine(Orders(plant, Command(None, 0)))
+    recorder = Recorder(tmp_path / "run.vfrec")
+    recorder.begin(engine.seen, engine.state)
+    goal = pin.SE3(scene.T_base_start.rotation, scene.T_base_start.translation - [0, 0, 0.05])
+    orders = Orders(plant, Command(goal, 1))
+    for _ in range(5):
+        recorder.add(orders, *engine.advance(orders, LoopStats()))
+    recorder.close()
+    recording = read(recorder.path)
+    assert recording.rows["order"].tolist() == [1] * 5
+    assert replay.first_difference(recording) is None
+
+
+@pytest.mark.parametrize("name", ["a\u200cb \u202e", "two\nlines", "\udce9t\udce9", "頭 {}[red]"])
+def test_a_mesh_whose_file_is_called_anything_is_recorded_and_found_from_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = Path(f"{name}.stl")
+    trimesh.creation.box((30.0, 30.0, 30.0)).export("box.stl")
+    Path("box.stl").rename(path)
+    a_run(tmp_path / "run.vfrec", replace(CUBE, mesh=str(path), unit="mm"), 5)
+    monkeypatch.chdir("/")
+    assert read(tmp_path / "run.vfrec").places[0].options.mesh == str(tmp_path / path)
+    assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 0
+    assert "the same to the last bit" in capsys.readouterr().out
+    (tmp_path / path).rename(tmp_path / "moved.stl")
+    assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,0 +1,127 @@
+"""Recordings of version 1: a zip archive of JSON and arrays, whose list of contents came last.
+
+``header.json`` has format, version, package versions, state, scenes, plants, the number of orders
+and of rows in each chunk, and why the recording ended; ``orders/<column>.npy`` and
+``rows/<chunk>/<column>.npy`` are the columns of `ORDERS` and `ROWS`. Nothing writes them any more.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.recording import entries
+from app.recording.checks import check
+from app.recording.format import (
+    CHUNK,
+    MAX_HEADER,
+    MAX_ORDERS,
+    MAX_ROWS,
+    ORDERS,
+    ROWS,
+    Recording,
+    RecordingError,
+)
+
+VERSION = 1
+
+
+def read(file: BinaryIO) -> Recording:
+    """A recording from an archive that nobody vouches for.
+
+    Raises:
+        RecordingError: it is no recording, damaged, of another version, or larger than any; the
+            message is one line.
+        OSError: it cannot be read.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return _Reader(archive).recording()
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,  # a compression of another kind
+        RuntimeError,  # encrypted
+        EOFError,
+        struct.error,
+    ) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise RecordingError(f"not a readable recording ({reason})") from None
+
+
+class _Reader:
+    """Reads one archive; no size is believed before it is compared with what it must be."""
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        self._members = {info.filename: info for info in archive.infolist()}
+        if len(self._members) != len(archive.infolist()):
+            raise RecordingError("a member is there twice")
+
+    def recording(self) -> Recording:
+        if "header.json" not in self._members:
+            raise RecordingError("not a recording: header.json is missing")
+        header = entries.header(self._bytes("header.json", MAX_HEADER), VERSION)
+        places = entries.places(header)
+        plants, courses = entries.plants(header, len(places))
+        chunks = [
+            entries.whole(n, "the rows of a chunk", 1, CHUNK)
+            for n in entries.items(header, "chunks", MAX_ROWS, least=0)
+        ]
+        if sum(chunks) > MAX_ROWS:
+            raise RecordingError(f"{sum(chunks):,} rows: at most {MAX_ROWS:,} are read")
+        count = entries.whole(header.get("orders"), "the number of orders", 1, MAX_ORDERS)
+        orders = self._table("orders", ORDERS, count)
+        rows = np.zeros(sum(chunks), dtype=ROWS)
+        at = 0
+        for k, n in enumerate(chunks):
+            rows[at : at + n] = self._table(f"rows/{k:05d}", ROWS, n)
+            at += n
+        expected = 1 + len(ORDERS.names or ()) + len(chunks) * len(ROWS.names or ())
+        if len(self._members) != expected:
+            raise RecordingError("there are members that do not belong into a recording")
+        recording = Recording(
+            places=places,
+            plants=plants,
+            courses=courses,
+            state=entries.state(header.get("state"), len(places[plants[0][0]].start)),
+            orders=orders,
+            rows=rows,
+            note=entries.text(header.get("note"), "note"),
+            packages=entries.packages(header),
+        )
+        check(recording)
+        return recording
+
+    def _bytes(self, name: str, limit: int) -> bytes:
+        info = self._members.get(name)
+        if info is None:
+            raise RecordingError(f"the member {name} is missing")
+        if info.file_size > limit:
+            raise RecordingError(f"{name} unpacks to {info.file_size:,} bytes, {limit:,} allowed")
+        return self._archive.read(info)
+
+    def _table(self, folder: str, dtype: np.dtype[Any], n: int) -> NDArray[Any]:
+        table = np.zeros(n, dtype=dtype)
+        for name in dtype.names or ():
+            column = dtype[name]
+            member = f"{folder}/{name}.npy"
+            data = self._bytes(member, n * column.itemsize + 1024)
+            try:
+                array = np.load(io.BytesIO(data), allow_pickle=False)
+            except (ValueError, OSError, EOFError, SyntaxError) as error:
+                reason = " ".join(str(error).split())[:120]
+                raise RecordingError(f"{member} is damaged ({reason})") from None
+            wanted = (n, *column.shape)
+            if array.dtype != column.base or array.shape != wanted:
+                raise RecordingError(
+                    f"{member} is {array.dtype} {array.shape}, not {column.base} {wanted}"
+                )
+            table[name] = array
+        return table

@@ -1,0 +1,38 @@
+"""What the tables of a recording must be, whichever file they came from."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+import vf
+from app.recording.format import Recording, RecordingError
+
+
+def check(recording: Recording) -> None:
+    """Refuse what no recorder writes."""
+    orders, rows = recording.orders, recording.rows
+    if len({options.rate for _, options in recording.plants}) != 1:
+        raise RecordingError("the rate changes within the recording")
+    for name in ("target", "rotation", "stamp", "scale"):
+        _all(np.isfinite(orders[name]), f"orders/{name}", "is not finite")
+    _all(orders["plant"] < len(recording.plants), "orders/plant", "is not one of the plants")
+    _all(np.diff(orders["plant"].astype(np.int64)) >= 0, "orders/plant", "goes back")
+    turned = orders["rotation"][orders["driven"] != 0]
+    off = np.abs(np.einsum("kij,klj->kil", turned, turned) - np.eye(3)).max(axis=(1, 2), initial=0)
+    _all(off < 1e-3, "orders/rotation", "is not a rotation")
+    for name in ("q", "target", "tip", "force", "radius", "spent"):
+        _all(np.isfinite(rows[name]), f"rows/{name}", "is not finite")
+    _all(~np.isnan(rows["distance"]), "rows/distance", "is not a number")
+    _all(rows["status"] <= max(vf.Status), "rows/status", "is not a status")
+    order = rows["order"].astype(np.int64)
+    _all(order < len(orders), "rows/order", "is not one of the orders")
+    _all(np.diff(order, prepend=0) >= 0, "rows/order", "goes back")
+    ticks = np.diff(rows["tick"], prepend=recording.state.tick)
+    _all(ticks == (rows["ticked"] != 0), "rows/tick", "does not count on")
+
+
+def _all(good: NDArray[np.bool_], column: str, what: str) -> None:
+    if not good.all():
+        row = int(np.argmin(good.reshape(len(good), -1).all(axis=1)))
+        raise RecordingError(f"{column} of row {row} {what}")

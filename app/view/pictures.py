@@ -1,0 +1,107 @@
+"""Pictures for slides: one's own view as PNG or animated GIF, the scene as one HTML file."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from PIL import Image
+
+from app.files import harmless
+from app.view.feature import Stage
+
+SIZE = (720, 1280)  # height and width of pictures [px]
+FRAMES, BETWEEN = 20, 0.2  # of an image sequence, and the time between two [s]
+PATIENCE = 20.0  # for a browser to send a picture [s]
+
+Job = Callable[[viser.ClientHandle], None]
+
+
+class Pictures:
+    """Three buttons, made where they are to be."""
+
+    def __init__(
+        self, stage: Stage, bind: Callable[[Any, Job], None], doing: Callable[[str], None]
+    ) -> None:
+        """Add the buttons.
+
+        Args:
+            bind: gives a button its job, which may take its time.
+            doing: is told what takes long.
+        """
+        self._stage, self._doing = stage, doing
+        gui = stage.server.gui
+        picture_ = gui.add_button(
+            "Screenshot", hint="Your view, without the panels.", icon=viser.Icon.CAMERA
+        )
+        sequence = gui.add_button(
+            "Image sequence",
+            hint=f"{FRAMES} pictures in {FRAMES * BETWEEN:g} s as one animated GIF.",
+            icon=viser.Icon.MOVIE,
+        )
+        page = gui.add_button(
+            "Scene as HTML", hint="One file that shows the scene in any browser, offline."
+        )
+        bind(picture_, self._screenshot)
+        bind(sequence, self._images)
+        bind(page, self._scene_page)
+
+    def _screenshot(self, client: viser.ClientHandle) -> None:
+        client.send_file_download(
+            f"{self._name()}.png", png(picture(client)), save_immediately=True
+        )
+
+    def _images(self, client: viser.ClientHandle) -> None:
+        self._doing(f"Taking {FRAMES} pictures …")
+        taken = []
+        due = time.monotonic()
+        for _ in range(FRAMES):
+            taken.append(picture(client))
+            due = max(due + BETWEEN, time.monotonic())
+            time.sleep(max(due - time.monotonic(), 0.0))
+        client.send_file_download(f"{self._name()}.gif", gif(taken), save_immediately=True)
+
+    def _scene_page(self, client: viser.ClientHandle) -> None:
+        content = self._stage.server.get_scene_serializer().as_html().encode()
+        client.send_file_download(f"{self._name()}.html", content, save_immediately=True)
+
+    def _name(self) -> str:
+        mesh = self._stage.screen.shown.scene.mesh_name
+        return harmless(f"vf-sandbox_{mesh}_{time.strftime('%H-%M-%S')}", "vf-sandbox")
+
+
+def picture(client: viser.ClientHandle) -> NDArray[np.uint8]:
+    """What a client sees of the scene (h, w, 3), no larger than its window.
+
+    Raises:
+        TimeoutError: the browser sends none (a hidden tab does not draw).
+    """
+    camera = client.camera
+    height, width = (
+        min(SIZE[0], int(camera.image_height) or SIZE[0]),
+        min(SIZE[1], int(camera.image_width) or SIZE[1]),
+    )
+    image = client.get_render(height, width, transport_format="jpeg", timeout=PATIENCE)
+    return np.ascontiguousarray(image[..., :3])
+
+
+def png(image: NDArray[np.uint8]) -> bytes:
+    """An image (h, w, 3) as a PNG file."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def gif(images: list[NDArray[np.uint8]]) -> bytes:
+    """Images (h, w, 3) as an animated GIF that repeats."""
+    first, *rest = (Image.fromarray(image).convert("RGB") for image in images)
+    stream = io.BytesIO()
+    first.save(
+        stream, "GIF", save_all=True, append_images=rest, duration=round(1e3 * BETWEEN), loop=0
+    )
+    return stream.getvalue()

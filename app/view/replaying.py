@@ -1,0 +1,196 @@
+"""A replay on the page: a recording in the session's place, and the controls that move it."""
+
+from __future__ import annotations
+
+import html
+import math
+import threading
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.player import Moment, Player, Transport, build_scenes
+from app.recording.format import Recording
+from app.session import Refused
+from app.view import camera
+from app.view.feature import Stage
+from app.view.screen import Screen
+from app.view.units import VIEW_SCALE
+
+SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1": 1.0, "2": 2.0, "8": 8.0}
+REPLAYED = 1_000_000  # versions of replayed scenes begin here; a session never gets that far
+ORDER = -1.5  # in the panel: between the banner and the help
+BACK = "Back to the session"
+SUSPENDED = f"a replay is shown, and the session waits: press “{BACK}” first"
+STEPS = {"◀◀": -100, "◀": -1, "▶": 1, "▶▶": 100}
+
+_STYLE = (
+    "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink);overflow-wrap:anywhere"
+)
+
+
+class Replaying:
+    """Puts a recording on the screen, for every client, and takes it off again.
+
+    Meanwhile the session is suspended, and the panel shows the settings of the recording's moment,
+    which nobody can change. When it is left, the session goes on as it was, and every camera that
+    was moved to another scene is where it was.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage, self._session = stage, stage.session
+        self.replay: Replay | None = None
+        self._opened = 0
+        self._drawn: Replay | None = None  # the replay that the controls are for
+        self._views: dict[int, camera.View] = {}  # by client: where it looked in the session
+        self._returning = False
+        gui = stage.server.gui
+        with gui.add_folder("Replay", order=ORDER, visible=False) as self._folder:
+            self._about = gui.add_html("")
+            self._slider: Any = gui.add_slider(
+                "Time [s]", min=0.0, max=1.0, step=1e-3, initial_value=0.0
+            )
+            self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+            steps = gui.add_button_group("Ticks", tuple(STEPS), hint="By 1, or by 100.")
+            self._speed: Any = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
+            back = gui.add_button(BACK, color="gray")
+
+        @self._slider.on_update
+        async def _scrub(event: viser.GuiEvent[Any]) -> None:
+            replay, at = self.replay, event.target.value
+            if event.client is not None and replay is not None and np.isfinite(at):
+                replay.transport.seek(float(at))
+
+        @self._play.on_click
+        async def _toggle(_event: viser.GuiEvent[Any]) -> None:
+            replay = self.replay
+            if replay is not None:
+                replay.transport.play(not replay.transport.playing)
+
+        @steps.on_click
+        async def _step(event: viser.GuiEvent[Any]) -> None:
+            replay = self.replay
+            if replay is not None:
+                replay.transport.move(STEPS.get(str(event.target.value), 0))
+
+        @self._speed.on_update
+        async def _pace(event: viser.GuiEvent[Any]) -> None:
+            replay, name = self.replay, str(event.target.value)
+            if event.client is not None and replay is not None and name in SPEEDS:
+                replay.transport.pace(SPEEDS[name])
+
+        @back.on_click
+        async def _back(_event: viser.GuiEvent[Any]) -> None:
+            stage.hand.submit(self.leave)
+
+        stage.escape.offer(self.leave)
+
+    def show(self, name: str, recording: Recording) -> None:
+        """Put a recording on the screen, in the place of the session or of another one.
+
+        Raises:
+            ValueError: it holds no tick, its mesh is not there or another one now, or the session
+                is just then busy; what is on the screen stays.
+        """
+        if not len(recording.rows):
+            raise Refused("the recording holds no tick")
+        if self._stage.fixture.withdrawn:
+            raise Refused("leave “Freeze and explore” first (tab Inspector)")
+        self._opened += 1
+        built = build_scenes(recording, REPLAYED + 1000 * self._opened, like=self._session.scene)
+        replay = Replay(name, Player(recording, built), self._stage.screen)
+        replay.now()  # whatever is wrong shows here, not in the picture
+        if self.replay is None:
+            self._session.suspend(SUSPENDED)
+            self._stage.hand.let_go()
+            self._views = {
+                client_id: camera.View(
+                    np.array(client.camera.position) / VIEW_SCALE,
+                    np.array(client.camera.look_at) / VIEW_SCALE,
+                )
+                for client_id, client in self._stage.server.get_clients().items()
+            }
+        self.replay = replay
+        self._stage.screen.instead = replay.now
+
+    def leave(self) -> bool:
+        """Back to the session, if a replay is shown; says whether it was."""
+        if self.replay is None:
+            return False
+        shown = self._stage.screen.shown.scene
+        self.replay = None
+        self._stage.screen.instead = None
+        self._returning = shown.version != self._session.scene.version
+        self._session.go_on()
+        return True
+
+    def frame(self) -> None:
+        """From the view thread, once what is on the screen is drawn."""
+        if self._returning and self._stage.screen.live:
+            self._returning = False
+            for client_id, client in self._stage.server.get_clients().items():
+                if client_id in self._views:
+                    camera.move(client, self._views[client_id])
+
+    def read_out(self) -> None:
+        """From the view thread: the controls as the replay is."""
+        replay = self.replay
+        if replay is not self._drawn:
+            self._drawn = replay
+            self._folder.visible = replay is not None
+            if replay is not None:
+                self._slider.max = max(math.ceil(replay.length * 1e3) / 1e3, 1e-3)
+                self._speed.value = "1"
+                self._about.content = replay.about()
+        if replay is None:
+            return
+        at = replay.time()
+        if abs(self._slider.value - at) > 5e-4:
+            self._slider.value = round(at, 3)
+        playing = replay.transport.playing
+        label = "Pause replay" if playing else "Play"
+        if self._play.label != label:
+            self._play.label = label
+            self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
+
+class Replay:
+    """A recording on the screen."""
+
+    def __init__(self, name: str, player: Player, screen: Screen) -> None:
+        rows = player.recording.rows
+        self._name, self._player, self._screen = name, player, screen
+        self._lock = threading.Lock()  # of the player
+        self._times = (rows["tick"] - rows["tick"][0]) * player.recording.dt
+        self.transport = Transport(self._times)
+
+    @property
+    def length(self) -> float:
+        """From the first tick to the last [s]."""
+        return float(self._times[-1])
+
+    def time(self) -> float:
+        """Where it stands [s]."""
+        return float(self._times[self.transport.row()])
+
+    def about(self) -> str:
+        """HTML: what it is, what is missing, and whose the settings below are."""
+        recording = self._player.recording
+        note = f"It ended because {recording.note}." if recording.note else ""
+        words = (
+            f"{html.escape(f'{recording.cut} {note}'.strip())} The settings below are the "
+            "recording’s; they can be changed again in the session."
+        )
+        return f"<div style='{_STYLE}'><b>{html.escape(self._name)}</b> {words}</div>"
+
+    def now(self) -> Moment:
+        """What to show."""
+        with self._lock:
+            row = self.transport.row()
+            moment = self._player.moment(row)
+        self._screen.caption = (
+            f"Replay: tick {moment.telemetry.tick:,}, {self._times[row]:.2f} of "
+            f"{self.length:.2f} s. The session waits."
+        )
+        return moment
