@@ -110,8 +110,8 @@ def stacked(slices: list[Slice]) -> Stack:
         at = np.interp(np.linspace(0.0, 1.0, planes), share, at)
         step = (heights[-1] - heights[0]) / (planes - 1)
         notes = (
-            f"its slices lie {steps.min():.4g} to {steps.max():.4g} mm apart: resampled to planes "
-            f"every {step:.4g} mm, linearly between neighbours",
+            f"its slices lie {steps.min():.4g} to {steps.max():.4g} mm apart along their "
+            f"normal: resampled to planes every {step:.4g} mm, linearly between neighbours",
         )
     T = np.eye(4)
     T[:3, 0] = first.across * first.spacing[0]

@@ -171,7 +171,7 @@ def test_two_spacings_are_resampled_and_said(tmp_path: Path, tilt: float) -> Non
         folder = files.write_dicom(tmp_path / name, at_heights(at, tilt))
         with pytest.warns(UserWarning, match="resampled to planes every"):
             read = volume.read(folder)
-        assert "mm apart: resampled" in read.notes[0]
+        assert "mm apart along their normal: resampled" in read.notes[0]
         vertices, faces = volume.surface(read, 0.0)
         mesh = trimesh.Trimesh(vertices * 1e3, faces, process=False)
         assert mesh.is_volume
