@@ -21,6 +21,7 @@ MOST_TRIANGLES = 10_000_000
 # Vertices keep this share of the voxels' distance from the voxels: where a value is the level
 # itself, triangles keep an area that single precision can hold.
 _CLEAR = 1e-3
+_WIDEST = 20  # voxels: the time that a Gaussian takes grows with it
 _LARGEST_VALUE = 1e100  # differences of two values must be finite
 
 
@@ -46,8 +47,8 @@ def surface(
         largest: keep only the piece with the largest bounding box.
 
     Raises:
-        MeshError: the level lies outside the volume's values, or the surface would have more than
-            `MOST_TRIANGLES`.
+        MeshError: the level lies outside the volume's values, ``smooth`` is more than 20 voxels, or
+            the surface would have more than `MOST_TRIANGLES`.
     """
     say = progress or (lambda _stage: None)
     if not (np.isfinite(level) and np.isfinite(smooth) and smooth >= 0.0):
@@ -56,6 +57,11 @@ def surface(
     if smooth:
         say("smoothing")
         spacing = np.linalg.norm(volume.T_world_voxel[:3, :3], axis=0)  # [m/voxel]
+        if smooth > _WIDEST * spacing.min():
+            raise MeshError(
+                f"{volume.name}: smooth must be at most {_WIDEST} voxels, "
+                f"{1e3 * _WIDEST * spacing.min():.4g} mm, not {1e3 * smooth:.4g} mm"
+            )
         values = gaussian_filter(
             _replaced(values, outside, within).astype(np.float32), smooth / spacing
         )

@@ -200,3 +200,5 @@ def test_smoothing_and_the_largest_piece() -> None:
         for v, _ in (rough, fine)
     ]
     assert off[1] < 0.4 * off[0]
+    with pytest.raises(meshes.MeshError, match="at most 20 voxels, 20 mm, not 21 mm"):
+        volume.surface(two, 100.0, smooth=0.021)
