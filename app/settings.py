@@ -197,7 +197,7 @@ class Options:
     """
 
     mesh: str = "skull-closed"
-    """Catalogue name (a wrong one lists them all), or path of an STL, OBJ, PLY, OFF or GLB file."""
+    """Catalogue name (a wrong one lists them all), or path of a mesh file (STL, OBJ, PLY, …)."""
     unit: str | None = None
     """Unit of a mesh file: m, mm, cm or in; needed where its size allows mm and m."""
     frame: str | None = None

@@ -19,6 +19,11 @@ _TYPES = {
     # The same as numbers, which older programs write.
     "2": "u1", "4": "i2", "8": "i4", "16": "f4", "64": "f8", "768": "u4", "1024": "i8",
 }  # fmt: skip
+# Each also as older programs write it.
+_TEXT = ("ascii", "gifti_encoding_ascii")
+_PLAIN = ("base64binary", "gifti_encoding_b64bin")
+_PACKED = ("gzipbase64binary", "gifti_encoding_b64gz")
+_ELSEWHERE = ("externalfilebinary", "gifti_encoding_extbin")
 _POINTS = ("NIFTI_INTENT_POINTSET", "1008")
 _TRIANGLES = ("NIFTI_INTENT_TRIANGLE", "1009")
 # GIfTI's coordinates are RAS in each of these; they differ in the origin.
@@ -105,13 +110,13 @@ def _table(array: _Array) -> NDArray[np.generic]:
     shape, kind, size = _shape(array), _kind(array), _bytes(array)
     content = "".join(array.words.get("Data", [])).encode()
     form = array.attributes.get("Encoding", "").lower()
-    if form == "ascii":
+    if form in _TEXT:
         values: NDArray[np.generic] = text.numbers(content, "an array")
-    elif form in ("base64binary", "gzipbase64binary"):
+    elif form in (*_PLAIN, *_PACKED):
         packed = base64_bytes(content)
-        raw = inflated(packed, size) if form.startswith("gzip") else packed
+        raw = inflated(packed, size) if form in _PACKED else packed
         values = np.frombuffer(raw[: len(raw) // kind.itemsize * kind.itemsize], kind)
-    elif form == "externalfilebinary":
+    elif form in _ELSEWHERE:
         raise MeshError("its numbers are in another file: convert it to one file")
     else:
         raise MeshError(f"unknown encoding {form[:40]!r}")

@@ -56,8 +56,11 @@ def read(data: bytes) -> Content:
     if order == "":
         notes = text.open_end(data)
         # From here on as if it were binary, of one type.
-        words = text.numbers(text.required(data[start:]), "after the header")
-        body, order = words.astype("<f8").tobytes(), "<"
+        plain = text.required(data[start:])
+        numbers = text.numbers(plain, "after the header")
+        if not _fits(numbers, elements):
+            numbers = _rows(plain, elements)
+        body, order = numbers.astype("<f8").tobytes(), "<"
         for element in elements:
             element.properties = [
                 _Property(p.name, "f8", "f8" if p.count else None) for p in element.properties
@@ -105,7 +108,9 @@ def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
         raise MeshError("does not begin with a line 'ply'")
     # Of the data's first bytes none may be taken for a part of the last line's end.
     end = re.escape(first.group(1))
-    found = re.search(end + rb"[ \t]*end_header[ \t]*" + end, data[:_HEADER_LIMIT], re.IGNORECASE)
+    odd = rb"\r?" if first.group(1) == b"\n" else b""
+    last = end + rb"[ \t]*end_header[ \t]*" + odd + end
+    found = re.search(last, data[:_HEADER_LIMIT], re.IGNORECASE)
     if found is None:
         raise MeshError("its header has no end ('end_header'): cut off or damaged")
     lines = data[: found.start()].decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
@@ -127,10 +132,9 @@ def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
                 elements.append(_Element(words[1], int(words[2])))
                 if elements[-1].count < 0:
                     raise ValueError
-            elif kind == "property" and elements:
+            elif kind == "property":
                 elements[-1].properties.append(_property(words[1:]))
-            else:
-                raise ValueError
+            # Anything else is a comment that a program has broken into two lines.
         except (IndexError, ValueError, KeyError) as error:
             if isinstance(error, MeshError):
                 raise
@@ -145,6 +149,50 @@ def _property(words: list[str]) -> _Property:
         count, kind, name = words[1:4]
         return _Property(name, _TYPES[kind], _TYPES[count])
     return _Property(words[1], _TYPES[words[0]])
+
+
+def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
+    """Whether a text has as many numbers as its header says, or fewer."""
+    place, end = 0, len(numbers)
+    for element in elements:
+        lists = [p.count is not None for p in element.properties]
+        if not any(lists):
+            place += element.count * len(lists)
+            continue
+        for _ in range(element.count):
+            for is_list in lists:
+                if place >= end:
+                    return True  # cut off, which is told where it is read
+                length = numbers[place] if is_list else 0.0
+                if not (length >= 0 and length == int(length)):
+                    return False
+                place += 1 + int(length)
+    return place >= end
+
+
+def _rows(plain: bytes, elements: list[_Element]) -> NDArray[np.float64]:
+    """The numbers that are looked for, of lines that hold more than their header says.
+
+    Of each element only the properties up to the last of them stay.
+    """
+    lines = [line for line in plain.split(b"\n") if line.strip()]
+    if len(lines) < sum(element.count for element in elements):
+        raise cut_off(f"{sum(element.count for element in elements):,} rows", f"{len(lines):,}")
+    parts, first = [np.empty(0)], 0
+    for element in elements:
+        wanted = [
+            k for k, p in enumerate(element.properties) if p.name in ("x", "y", "z", *_CORNERS)
+        ]
+        element.properties = element.properties[: max(wanted, default=-1) + 1]
+        for line in lines[first : first + element.count] if wanted else ():
+            row, place = text.numbers(line, f"of element '{element.name}'"), 0
+            for p in element.properties:
+                if place >= len(row) or (p.count and not 0 <= row[place] < len(row) - place):
+                    raise MeshError(f"a row of its element '{element.name}' is too short: damaged")
+                place += 1 + (int(row[place]) if p.count else 0)
+            parts.append(row[:place])
+        first += element.count
+    return np.concatenate(parts)
 
 
 Column = NDArray[np.generic] | tuple[NDArray[np.generic], NDArray[np.int64]]

@@ -113,6 +113,15 @@ FINE: dict[str, tuple[str, bytes]] = {
         PLY.replace(b"end_header", b"element edge 1\nproperty int a\nproperty int b\nend_header")
         + b"0 1\n",
     ),
+    "ply: a comment in two lines": (
+        "m.ply", PLY.replace(b"ply\nformat ascii 1.0", b"ply\nformat ascii 1.0\ncomment a\nb: c"),
+    ),
+    "ply: another line end at last": (
+        "m.ply", ply_binary().replace(b"end_header\n", b"end_header\r\n"),
+    ),
+    "ply: more in its rows than it says": (
+        "m.ply", PLY.replace(b"\n4 0 1 3 2\n", b"\n4 0 1 3 2 9 1 1 1 1 1 1 1 1 1\n"),
+    ),
     "ply: bytes behind": ("m.ply", ply_binary() + b"more"),
     "vtk: title with a frame": ("m.vtk", vtk_text(title="3D Slicer output. SPACE=LPS").encode()),
     "vtk: point data": ("m.vtk", vtk_text().encode() + b"POINT_DATA 8\nSCALARS x float\n1 2 3\n"),
@@ -253,6 +262,9 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
         gltf(accessors=[{"componentType": 5126, "count": 3, "type": "VEC3"},
                         {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"}]),
         "without data",
+    ),
+    "gltf: a list for a name": (
+        "m.gltf", gltf(nodes=["x"]), "a value of another kind",
     ),
     "3mf: beams": (
         "m.3mf",
