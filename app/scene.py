@@ -153,7 +153,7 @@ def anatomy(
     Raises:
         ValueError: unusable mesh or placement, with the reason.
     """
-    with _caught_warnings() as caught:
+    with caught_warnings() as caught:
         found = meshes.read(options.mesh, unit=options.unit, frame=options.frame, progress=progress)
     mesh = found.arrays
     notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
@@ -282,7 +282,7 @@ def _displacements(size: float) -> Iterator[FloatArray]:
             yield distance * direction / np.linalg.norm(direction)
 
 
-class _caught_warnings:
+class caught_warnings:
     """Collects warnings. Python's own collector is not thread-safe, so one thread at a time."""
 
     _lock = threading.Lock()

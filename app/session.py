@@ -72,6 +72,7 @@ class Session:
         plant = scenes.plant(self.scene, options)
         self._lock = threading.RLock()  # writers only; the loop and `latest` never take it
         self._changing = threading.Lock()
+        self._stop = aside.Stop()  # of the newest change
         self._orders = Orders(
             plant,
             Command(None, 0, stamp=time.monotonic()),
@@ -426,12 +427,14 @@ class Session:
 
         Raises:
             Refused: another change is under way.
+            Stopped: `stop_change` was called.
             ValueError: unknown names or an unusable mesh, with the reason; the old scene goes on.
         """
         with self._turn():
             pass  # refused now rather than after the scene is built
         if not self._changing.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
+        self._stop = stop = aside.Stop()
         try:
             wanted: dict[str, Any] = {}
             if mesh is not None:
@@ -444,7 +447,9 @@ class Session:
             check_names(options)
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
-            new = aside.build(options, self.scene.version + 1, arm, progress)
+            new = aside.build(options, self.scene.version + 1, arm, progress, stop)
+            if stop.asked:
+                raise aside.Stopped("stopped: nothing is changed")
             with self._lock:
                 # Settings may have moved on while the scene was being built.
                 options = replace(self.options, **wanted)
@@ -456,6 +461,10 @@ class Session:
             return new
         finally:
             self._changing.release()
+
+    def stop_change(self) -> None:
+        """Give up the change under way, if there is one: the old scene goes on."""
+        self._stop()
 
     # Inner workings; callers hold the lock
 

@@ -43,6 +43,22 @@ class UnitNeeded(MeshError):
         )
 
 
+class WrongSize(MeshError):
+    """A mesh too small or too large to be used in the unit that it is said to be in.
+
+    Attributes:
+        diagonal: of its bounding box, in the file's unit.
+        said: the unit by the file or its format's standard, if any.
+    """
+
+    def __init__(self, reason: str, diagonal: float, said: str | None) -> None:
+        super().__init__(reason, diagonal, said)
+        self.diagonal, self.said = diagonal, said
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
 def diagonal(vertices: NDArray[np.float64]) -> float:
     """Of the bounding box of vertices ``(n, 3)``, in their unit; inf where it overflows."""
     with np.errstate(over="ignore", invalid="ignore"):
@@ -69,7 +85,7 @@ def settled(name: str, across: float, unit: str | None, said: str | None = None)
 
     Raises:
         UnitNeeded: nobody says, and both millimetres and metres are possible.
-        MeshError: a size below 0.1 mm or above 10 m.
+        WrongSize: below 0.1 mm or above 10 m.
 
     Where nobody says and only one of the two is possible, it is that one, told by a `UnitGuess`
     warning.
@@ -80,9 +96,11 @@ def settled(name: str, across: float, unit: str | None, said: str | None = None)
         raise UnitNeeded(name, across, possible)
     if not possible:
         tried = known or ("mm" if across * UNITS["mm"] > LARGEST else "m")
-        raise MeshError(
+        raise WrongSize(
             f"{name}: {across * UNITS[tried]:.3g} m across if its unit is {tried}; from 0.1 mm to "
-            f"10 m is possible (say the unit: {', '.join(UNITS)})"
+            f"10 m is possible (say the unit: {', '.join(UNITS)})",
+            across,
+            said,
         )
     (settled,) = possible
     if known is None:
@@ -100,4 +118,7 @@ def choices(across: float, said: str | None = None) -> Mapping[str, str]:
     """For a person to choose from: unit, and its size in words; what the file says comes first."""
     found = sizes(across)
     order = sorted(found, key=lambda unit: unit != said)
-    return {unit: f"{unit}: {shown(found[unit])} across" for unit in order}
+    return {
+        unit: f"{unit}{', as the file says' * (unit == said)}: {shown(found[unit])} across"
+        for unit in order
+    }

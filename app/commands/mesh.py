@@ -8,8 +8,9 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from inspect import cleandoc
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -20,7 +21,7 @@ from rich.table import Table
 from app.settings import Length, OptionError, Radius, parse_as
 
 if TYPE_CHECKING:
-    from meshes import Health, Loaded
+    from meshes import Changes, Health, Loaded
 
 SOUND, DEFECTS, USAGE_ERROR = 0, 1, 2
 File = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -155,20 +156,69 @@ def _list() -> int:
     return SOUND
 
 
+def examined(
+    name: str, unit: str | None, frame: str | None, examine: int, progress: Callable[[str], None]
+) -> tuple[Health, str, str | None, list[str]]:
+    """The report on a mesh, its unit and frame, and what its loader has to say."""
+    import meshes
+
+    progress(f"reading {name}")
+    found, notes = _opened(name, unit, frame)
+    report = meshes.health(*found.arrays, examine=examine, progress=progress)
+    return report, found.unit, found.frame, notes
+
+
+def mended(
+    options: Repair, progress: Callable[[str], None]
+) -> tuple[Changes, int, str, str | None, list[str]]:
+    """Repair a mesh and write it: changes, triangles that are left, unit, frame, and notes."""
+    import meshes
+    from meshes import frames
+    from meshes.save import save
+
+    progress(f"reading {options.mesh}")
+    found, notes = _opened(options.mesh, options.unit, options.frame)
+    wanted = frames.chosen(options.write_frame)
+    vertices, frame = frames.turned(found.arrays[0], found.frame, wanted)
+    result = meshes.repair(
+        vertices, found.arrays[1], tolerance=options.tolerance, flip=options.flip, progress=progress
+    )
+    if len(result.faces) == 0:
+        raise meshes.MeshError(f"{options.mesh}: no face has any area, nothing is written")
+    progress(f"writing {options.out}")
+    save(options.out, *result.arrays, unit=found.unit, frame=frame, overwrite=options.overwrite)
+    return result.changes, len(result.faces), found.unit, frame, notes
+
+
+def _aside(name: str, work: Callable[..., Any]) -> Any:
+    """What the work on a mesh returns, in a process with an allowance unless the mesh is small.
+
+    The last of it are the notes, which are told on stderr.
+    """
+    from app import aside
+
+    with _stages() as say:
+        if aside.light(name):
+            result = work(progress=say)
+        else:
+            result = aside.run(work, aside.allowance(name), say)
+    for note in result[-1]:
+        print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
+    return result
+
+
 def _check(options: Check) -> int:
     import meshes
 
     if options.examine < 0:
         raise OptionError(f"examine must be zero or more, not {options.examine}")
-    with _stages() as say:
-        say(f"reading {options.mesh}")
-        found, notes = _opened(options.mesh, options.unit, options.frame)
-        report = meshes.health(*found.arrays, examine=options.examine, progress=say)
+    work = partial(examined, options.mesh, options.unit, options.frame, options.examine)
+    report, unit, frame, notes = _aside(options.mesh, work)
     if options.json:
-        about = {"mesh": options.mesh, "unit": found.unit, "frame": found.frame, "notes": notes}
+        about = {"mesh": options.mesh, "unit": unit, "frame": frame, "notes": notes}
         print(json.dumps({**about, **report.as_dict()}, indent=1))
     else:
-        told = "of no patient" if options.mesh in meshes.catalogue() else meshes.told(found.frame)
+        told = "of no patient" if options.mesh in meshes.catalogue() else meshes.told(frame)
         _print_report(_console(), options.mesh, report, told)
     return SOUND if report.sound else DEFECTS
 
@@ -212,36 +262,24 @@ def _print_report(console: Console, name: str, report: Health, frame: str) -> No
 
 
 def _repair(options: Repair) -> int:
-    import meshes
     from meshes import frames
-    from meshes.save import check_writable, save
+    from meshes.save import check_writable
 
     check_writable(options.out, options.overwrite)
-    wanted = frames.chosen(options.write_frame)
-    with _stages() as say:
-        say(f"reading {options.mesh}")
-        found, _notes = _opened(options.mesh, options.unit, options.frame)
-        vertices, frame = frames.turned(found.arrays[0], found.frame, wanted)
-        result = meshes.repair(
-            vertices, found.arrays[1], tolerance=options.tolerance, flip=options.flip, progress=say
-        )
-        if len(result.faces) == 0:
-            return _complain(f"{options.mesh}: no face has any area, nothing is written")
-        say(f"writing {options.out}")
-        save(options.out, *result.arrays, unit=found.unit, frame=frame, overwrite=options.overwrite)
+    frames.chosen(options.write_frame)
+    changes, triangles, unit, frame, _ = _aside(options.mesh, partial(mended, options))
     console = _console()
-    for line in result.changes.lines() or ("nothing to mend",):
+    for line in changes.lines() or ("nothing to mend",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
-    for line in result.changes.left:
+    for line in changes.left:
         console.print(f"[yellow]![/] left: {escape(line)}", soft_wrap=True)
-    unit_text = "m" if options.out.lower().endswith(".glb") else found.unit
+    unit_text = "m" if options.out.lower().endswith(".glb") else unit
     frame_text = frame or "patient frame not known"
     console.print(
-        f"written: {escape(options.out)}, {len(result.faces):,} triangles, in {unit_text},"
-        f" {frame_text}",
+        f"written: {escape(options.out)}, {triangles:,} triangles, in {unit_text}, {frame_text}",
         soft_wrap=True,
     )
-    return DEFECTS if result.changes.left else SOUND
+    return DEFECTS if changes.left else SOUND
 
 
 def _from_volume(options: FromVolume) -> int:
@@ -286,16 +324,13 @@ def _from_volume(options: FromVolume) -> int:
 
 
 def _opened(name: str, unit: str | None, frame: str | None) -> tuple[Loaded, list[str]]:
-    """The mesh, and what the loader has to say of it, which is also told on stderr."""
+    """What is in the file, and what its loader has to say about it."""
     from meshes.load import read
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = read(name, unit=unit, frame=frame)
-    notes = [*(str(warning.message) for warning in caught), *found.notes]
-    for note in notes:
-        print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
-    return found, notes
+    return found, [*(str(warning.message) for warning in caught), *found.notes]
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import html
 import shutil
 import threading
@@ -12,8 +13,10 @@ from typing import Any
 import viser
 
 import meshes
+from app import aside
 from app.files import size
 from app.library import Kept
+from app.measure import measure
 from app.messages import Telemetry
 from app.recording.outline import outline
 from app.scene import Scene
@@ -22,12 +25,11 @@ from app.view import dialogs, health, palette
 from app.view.feature import Stage
 from app.view.recorder import recordings
 from app.view.uploads import Receiver
+from meshes.units import choices as choices_of
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"
 _UNKNOWN = f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press Examine.</div>"
-GUESS = "guess"
 NONE = "–"
-OWN_UNIT = ("glb", "gltf", "3mf", "gii", *meshes.FREESURFER)  # formats that say their unit
 
 
 class MeshTab:
@@ -43,6 +45,7 @@ class MeshTab:
         self._escape = stage.escape
         self._drawing = health.HealthDrawing(stage.server.scene)
         self._busy = threading.Lock()
+        self._stop = aside.Stop()  # of the newest measuring
         self._scene: Scene | None = None  # what is drawn
         # The scene that the report is on, the report and its marks.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
@@ -58,6 +61,9 @@ class MeshTab:
                 icon=viser.Icon.UPLOAD,
             )
             self._state = server.gui.add_html("")
+            self._halt = server.gui.add_button(
+                "Stop", hint="Give up the work on the mesh: nothing is changed.", disabled=True
+            )
             self._files: Any = server.gui.add_dropdown(
                 "Kept files",
                 (NONE,),
@@ -107,6 +113,11 @@ class MeshTab:
         def _flip(event: viser.GuiEvent[Any]) -> None:
             flip = not self._session.options.flip
             self._work(event.client, lambda: self._change(flip=flip))
+
+        @self._halt.on_click
+        def _halt(_event: viser.GuiEvent[Any]) -> None:
+            self._stop()
+            self._session.stop_change()
 
         @self._delete.on_click
         def _delete(event: viser.GuiEvent[Any]) -> None:
@@ -164,24 +175,30 @@ class MeshTab:
 
     def _ask(self, client: viser.ClientHandle, path: Path) -> None:
         """Ask the one who sent a file for what it does not say, then use it."""
-        kind = meshes.kind(path.name) or ""
+        found: list[tuple[float, str | None]] = []
+        self._work(client, lambda: found.append(self._measured(path)), path.name)
+        if not found:
+            shutil.rmtree(path.parent, ignore_errors=True)
+            return
+        across, said = found[0]
         length = path.stat().st_size
-        said = kind in OWN_UNIT
+        form = (meshes.kind(path.name) or "").upper()
         dialog = client.gui.add_modal("In which unit is this mesh?")
         with dialog:
             client.gui.add_html(
                 f"<div style='{_STYLE}'><b>{html.escape(path.name)}</b>, {size(length)}. "
                 + (
-                    f"{kind.upper()} files say their unit; choose another if yours is wrong."
+                    "It says its unit; choose another if that is wrong."
                     if said
-                    else f"{kind.upper()} files do not say their unit."
+                    else f"This {form} file does not say its unit: choose the size that it has."
                 )
                 + " Choose the side first if another than z is to face the tool.</div>"
             )
             # First: a dropdown that is opened with the focus would hide what is below it.
-            units = client.gui.add_button_group(
-                "Unit", ("as the file says" if said else GUESS, *meshes.UNITS)
-            )
+            choices = {
+                unit: client.gui.add_button(words)
+                for unit, words in choices_of(across, said).items()
+            }
             up = client.gui.add_dropdown(
                 "Side facing the tool",
                 meshes.UPS,
@@ -196,13 +213,14 @@ class MeshTab:
 
         self._escape.opened(client.client_id, drop)
 
-        @units.on_click
-        def _chosen(event: viser.GuiEvent[Any]) -> None:
-            unit = str(event.target.value)
-            named, facing = unit if unit in meshes.UNITS else None, str(up.value)
+        def choose(unit: str, _event: viser.GuiEvent[Any]) -> None:
+            facing = str(up.value)
             self._escape.closed(client.client_id, drop)
             if dialogs.close(dialog):
-                self._work(client, lambda: self._keep(path, unit=named, up=facing), path.name)
+                self._work(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
+
+        for unit, button in choices.items():
+            button.on_click(functools.partial(choose, unit))
 
         @cancel.on_click
         def _cancelled(_event: viser.GuiEvent[Any]) -> None:
@@ -227,6 +245,16 @@ class MeshTab:
         finally:
             self._busy.release()
             self._offer()
+
+    def _measured(self, path: Path) -> tuple[float, str | None]:
+        """The file's diagonal in its own unit, and that unit if it says it."""
+        work = functools.partial(measure, str(path))
+        if aside.light(str(path)):
+            return work(progress=self._progress)
+        self._stop = stop = aside.Stop()
+        allowed = aside.allowance(str(path))
+        found: tuple[float, str | None] = aside.run(work, allowed, self._progress, stop)
+        return found
 
     def _keep(self, path: Path, **wanted: Any) -> None:
         """Use a file that has arrived, and keep it if it can be used."""
@@ -282,6 +310,7 @@ class MeshTab:
         busy = busy or not self._screen.live
         repaired = self._session.options.repair
         self._examine.disabled = self._flip.disabled = busy
+        self._halt.disabled = not busy
         self._repair.disabled = busy or repaired
         self._repair.label = "Repaired" if repaired else "Repair"
         self._flip.label = "Flip back" if self._session.options.flip else "Flip"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -79,10 +80,12 @@ def test_a_scan_with_flipped_faces_and_holes_is_taken_examined_and_shown_where_i
     path = tmp_path / "my scan.ply"
     turned, _ = damaged_torus(path)
     send(visitor, path)
-    # It asks for the unit.
-    visitor.tab.get_by_text("PLY files do not say their unit").wait_for()
+    # It asks for the unit, and shows the size in each that is possible: 91 m is not.
+    visitor.tab.get_by_text("This PLY file does not say its unit").wait_for()
     visitor.picture("mesh-unit-asked")
-    visitor.press("mm")
+    across = float(np.linalg.norm(np.ptp(trimesh.load(path, process=False).vertices, axis=0)))
+    assert visitor.tab.get_by_role("button", name=re.compile("^m: ")).count() == 0
+    visitor.press(f"mm: {across:.4g} mm across")
     wait_until(lambda: session.scene.mesh_name == "my scan.ply", "the mesh to be taken")
     assert session.options.unit == "mm"
     np.testing.assert_allclose(np.ptp(session.scene.surface.vertices, axis=0)[0], 0.08, atol=1e-3)
@@ -132,9 +135,7 @@ def test_a_file_that_is_no_mesh_leaves_the_old_one_in_place(
     path = tmp_path / "holiday.stl"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(300))
     send(visitor, path)
-    visitor.tab.get_by_text("STL files do not say their unit").wait_for()
-    visitor.press("guess")
-    visitor.tab.get_by_text("cut off or not STL").first.wait_for()
+    visitor.tab.get_by_text("holiday.stl: not taken").first.wait_for()
     visitor.picture("mesh-refused")
     assert session.scene is scene
     assert visitor.tab.get_by_text("Nothing is changed").first.is_visible()
@@ -157,8 +158,10 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_kept(
     small = tmp_path / "small.obj"
     trimesh.creation.box((2.0, 2.0, 1.0)).export(small)
     send(visitor, small)
-    visitor.tab.get_by_text("OBJ files do not say their unit").wait_for()
-    visitor.press("cm")
+    visitor.tab.get_by_text("This OBJ file does not say its unit").wait_for()
+    assert says(visitor, "mm: 3 mm across").is_visible()
+    assert says(visitor, "m: 3 m across").is_visible()
+    visitor.press("cm: 30 mm across")
     wait_until(lambda: session.scene.mesh_name == "small.obj", "the box to be taken")
     visitor.tab.get_by_text("Sound: no defects.").wait_for()
     assert visitor.complaints == []

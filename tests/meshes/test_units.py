@@ -66,7 +66,9 @@ def test_what_is_said_is_not_asked_again(across: float, unit: str) -> None:
                     units.settled("part.stl", across, given_, said)
     for name, words in units.choices(across, unit).items():
         assert usable(across * meshes.UNITS[name])
-        number, of = re.fullmatch(rf"{name}: (\S+) (mm|m) across", words).groups()  # type: ignore[union-attr]
+        number, of = re.fullmatch(
+            rf"{name}(?:, as the file says)?: (\S+) (mm|m) across", words
+        ).groups()  # type: ignore[union-attr]
         assert float(number) * meshes.UNITS[of] == pytest.approx(
             across * meshes.UNITS[name], rel=1e-3
         )
