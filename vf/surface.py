@@ -206,6 +206,8 @@ class Surface:
     def within(self, x: ArrayLike, radius: float) -> Contacts:
         """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
         p = np.array(x, dtype=np.float64)
+        if not isinstance(radius, float):
+            radius = checked_length("radius", radius)
         if p.shape != (3,) or not 0.0 <= radius < np.inf:
             checked_point(x)
             checked_length("radius", radius)
@@ -231,7 +233,7 @@ class Surface:
         tree, guess = self.tree, self._guess
         distance, row = _COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
         if row == UNFINISHED:  # a point that has much of the surface at the same distance
-            distance, row = nearest_face_freely(tree[0], tree[1], point, limit, guess)
+            distance, row = nearest_face_freely(tree[0], tree[1], point, float(limit), guess)
         if row < 0:
             return np.inf, -1, checked_point(x)
         self._guess = row
