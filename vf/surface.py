@@ -180,7 +180,7 @@ class Surface:
             row = int(np.argmin(np.isfinite(v).all(axis=1)))
             raise ValueError(f"vertex {row} is not finite: {v[row]}")
         if not np.abs(v).max() <= LARGEST:  # what no face uses may be anywhere
-            far = f.ravel()[~(np.abs(v) <= LARGEST).all(axis=1)[f.ravel()]]
+            far = f.ravel()[~np.all(np.abs(v) <= LARGEST, axis=1)[f.ravel()]]
             if len(far):
                 raise ValueError(
                     f"vertex {far[0]} is too far away: coordinates must be within ±{LARGEST:g} m,"

@@ -104,7 +104,7 @@ class Surroundings:
 def _pins(x: FloatArray, tip_radius: float, rng: np.random.Generator) -> vf.Surface:
     """Points on a cap around x (3,), each of which wants a plane of its own."""
     k = np.arange(PINS) + 0.5
-    z = 1.0 - k / PINS * (1.0 - np.cos(np.radians(50.0)))
+    z = 1.0 - k / PINS * (1.0 - np.cos(np.radians(120.0)))
     angle = np.pi * (1.0 + 5.0**0.5) * k
     ring = np.sqrt(1.0 - z * z)
     ways = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
