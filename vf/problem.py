@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vf.haptics import force
+from vf.haptics import master_force
 from vf.kernels import njit
 from vf.qp_kernels import attempt, carve
 
@@ -338,7 +338,7 @@ def report(  # type: ignore[no-untyped-def]
     if check and not obeys(normals, offsets, floors, m, radius, longest, x, y, numbers[BULGE]):
         return False
     n = q_new.shape[0]
-    out[:3] = force(y, goal[:3, 3], numbers[GAIN], numbers[CAP])
+    out[:3] = master_force(y, goal[:3, 3], numbers[GAIN], numbers[CAP])
     for j in range(n):
         if q_new[j] >= table[HIGHEST, j]:
             out[3 + j] = 1.0

@@ -213,9 +213,9 @@ def explain(
         ValueError: x, or a length, is not finite or not in its range.
     """
     p = checked_point(x)
-    checked_length("radius", radius, positive=True)
-    checked_length("standoff", standoff)
-    checked_length("tip radius", tip_radius)
+    radius = checked_length("radius", radius, positive=True)
+    standoff = checked_length("standoff", standoff)
+    tip_radius = checked_length("tip radius", tip_radius)
     inside = surface.inside(p)
     paper, certified = (
         MeshFixture(surface, rule, radius).planes(p, radius, standoff, tip_radius, inside)

@@ -180,7 +180,7 @@ class Surface:
             row = int(np.argmin(np.isfinite(v).all(axis=1)))
             raise ValueError(f"vertex {row} is not finite: {v[row]}")
         if not np.abs(v).max() <= LARGEST:  # what no face uses may be anywhere
-            far = f.ravel()[~(np.abs(v) <= LARGEST).all(axis=1)[f.ravel()]]
+            far = f.ravel()[~np.all(np.abs(v) <= LARGEST, axis=1)[f.ravel()]]
             if len(far):
                 raise ValueError(
                     f"vertex {far[0]} is too far away: coordinates must be within ±{LARGEST:g} m,"
@@ -206,6 +206,8 @@ class Surface:
     def within(self, x: ArrayLike, radius: float) -> Contacts:
         """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
         p = np.array(x, dtype=np.float64)
+        if not isinstance(radius, float):
+            radius = checked_length("radius", radius)
         if p.shape != (3,) or not 0.0 <= radius < np.inf:
             checked_point(x)
             checked_length("radius", radius)
@@ -231,7 +233,7 @@ class Surface:
         tree, guess = self.tree, self._guess
         distance, row = _COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
         if row == UNFINISHED:  # a point that has much of the surface at the same distance
-            distance, row = nearest_face_freely(tree[0], tree[1], point, limit, guess)
+            distance, row = nearest_face_freely(tree[0], tree[1], point, float(limit), guess)
         if row < 0:
             return np.inf, -1, checked_point(x)
         self._guess = row

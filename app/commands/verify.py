@@ -25,9 +25,22 @@ from app.settings import RANGES, Length, OptionError, Radius, format_length, par
 
 if TYPE_CHECKING:
     from app.verification.campaign import Cover, Drive
+    from app.verification.scenes import Scene
 
 PASSED, BROKEN = 0, 1
 LEAK_EDGES = (0.3, 1.0, 3.0)
+# Standoff and tip radius of the leak queries, in turn [m].
+LEAK_TOOLS = ((20e-6, 0.0), (0.0, 0.0), (1e-3, 0.0), (20e-6, 5e-4), (0.0, 1e-4))
+SCENE_COLUMNS = (
+    "ticks",
+    "crossed",
+    "held",
+    "shortened",
+    "recovering",
+    "planes",
+    "budget spent",
+    "tick µs",
+)
 COLUMNS = (
     "ticks", "crossed", "held", "shortened", "inside", "blocked", "planes", "tick µs",
     "queries", "leaked", "blocked", "budget spent",
@@ -36,15 +49,19 @@ COLUMNS = (
 ABOUT = """Try to get the tool through the surface, and count how often it worked.
 
 Adversarial hands (pokes, slides, jerks, full-speed reversals) drive the arm from start positions
-all around the mesh. After every tick an independent oracle tests the segment between the true tip
-positions against all triangles around it. With --queries the planes are also searched for leaks at
-radius 0.3, 1 and 3 times the median edge. Exit code 0: nothing got through; 1: something did."""
+all around the mesh. After every tick an independent oracle tests the way of the true tip against
+all triangles around it. With the certified rule the surroundings change from case to case, but for
+--outside: the mesh alone, several of them,
+a corridor, a standoff of 1 mm, a ball-shaped tip, 50 ticks a second, more triangles around the tip
+than there may be planes. With --queries the planes are also searched for leaks at radius 0.3, 1 and
+3 times the median edge. Exit code 0: nothing got through; 1: something did."""
 
 
 @dataclass(frozen=True)
 class Found:
     """What came of one mesh with one kind of damage."""
 
+    scenes: list[Scene]  # of the drives
     drives: list[Drive]
     covers: list[Cover]
 
@@ -77,7 +94,7 @@ class Verify:
     outside: bool = False
     """Start and ask only outside the undamaged mesh, which the paper's rule takes for granted."""
     tip_radius: Length = 0.0
-    """Radius of a spherical tool tip: it crosses a triangle where the ball cuts it."""
+    """Radius of a spherical tool tip, at least: it crosses a triangle where the ball cuts it."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "queries", "seed"):
@@ -109,6 +126,7 @@ def run(options: Verify, console: Console) -> int:
     import robots
     import vf
     from app.verification import campaign
+    from app.verification.scenes import SCENES
     from meshes.damage import damage, kinds
 
     if options.rule not in vf.RULES:
@@ -129,6 +147,10 @@ def run(options: Verify, console: Console) -> int:
     damages = kinds() if options.damage == "all" else (options.damage,)
     radii: tuple[float | None, ...] = options.radius or (5e-4, 5e-3)
 
+    # Rules are compared on the mesh alone.
+    varied = options.rule == "certified" and not options.outside
+    kinds_of_scene = SCENES if varied else SCENES[:1]
+    leak_tools = LEAK_TOOLS if varied else LEAK_TOOLS[:2]
     cases = [(name, kind) for name in sources for kind in damages]
     share = -(-options.steps // (len(cases) * len(radii)))
     query_share = -(-options.queries // (len(cases) * len(LEAK_EDGES)))
@@ -145,29 +167,30 @@ def run(options: Verify, console: Console) -> int:
             bar.update(task, description=f"{name}, {kind}")
             mesh = damage(kind, sources[name], options.seed)
             outside_of = vf.Surface.from_arrays(*sources[name]) if options.outside else None
+            around = [kinds_of_scene[(number + k) % len(kinds_of_scene)] for k in range(len(radii))]
             drives = [
                 campaign.drive(
                     arm, mesh, rule=options.rule, radius=radius, steps=share,
                     seed=options.seed + 1000 * number + k,
                     noise=options.noise if (number + k) % 2 else 0.0,
-                    tip_radius=options.tip_radius, outside_of=outside_of,
+                    tip_radius=options.tip_radius, scene=around[k], outside_of=outside_of,
                     progress=lambda n: bar.advance(task, n),
                 )
                 for k, radius in enumerate(radii)
                 if share
             ]  # fmt: skip
+            tools = [leak_tools[(number + k) % len(leak_tools)] for k in range(len(LEAK_EDGES))]
             covers = [
                 campaign.query(
                     mesh, rule=options.rule, edges=edges, queries=query_share,
                     seed=options.seed + 1000 * number + k,
-                    standoff=0.0 if (number + k) % 2 else vf.Settings.standoff,
-                    outside_of=outside_of,
+                    standoff=tools[k][0], tip_radius=tools[k][1], outside_of=outside_of,
                     progress=lambda n: bar.advance(task, n),
                 )
                 for k, edges in enumerate(LEAK_EDGES)
                 if query_share
             ]  # fmt: skip
-            found[name, kind] = Found(drives, covers)
+            found[name, kind] = Found(around, drives, covers)
     by_mesh = len(damages) == 1
     table = Table(
         title=f"rule {options.rule}, arm {options.robot}, seed {options.seed}, "
@@ -182,10 +205,17 @@ def run(options: Verify, console: Console) -> int:
         table.add_row(label, *_cells(mine))
     table.add_row("all", *_cells(list(found.values())), style="bold")
     console.print(table)
+    if options.steps and varied:
+        console.print(_by_scene(list(found.values())))
     complaints = []
     for (name, kind), f in found.items():
-        firsts = [d.first for d in f.drives] + [c.first for c in f.covers]
-        complaints += [f"{name}, {kind}: {first}" for first in firsts if first]
+        firsts = [
+            (f"{scene.name}, " if varied else "") + drive.first
+            for scene, drive in zip(f.scenes, f.drives, strict=False)
+            if drive.first
+        ]
+        firsts += [cover.first for cover in f.covers if cover.first]
+        complaints += [f"{name}, {kind}: {first}" for first in firsts]
     for line in complaints[:10]:
         console.print(line, soft_wrap=True)
     if len(complaints) > 10:
@@ -224,6 +254,35 @@ def _cells(found: list[Found]) -> list[str]:
         _percent(sum(c.forbidden for c in covers), sum(c.free for c in covers)),
         f"{sum(c.shrunk for c in covers):,}",
     ]
+
+
+def _by_scene(found: list[Found]) -> Table:
+    """The same drives by what stood around the tip."""
+    import vf
+    from app.verification.scenes import SCENES
+
+    table = Table()
+    table.add_column("around the tip", min_width=max(len(scene.name) for scene in SCENES))
+    for name in SCENE_COLUMNS:
+        table.add_column(name, justify="right")
+    for scene in SCENES:
+        drives = [d for f in found for s, d in zip(f.scenes, f.drives, strict=False) if s is scene]
+        ticks = sum(d.ticks for d in drives)
+        if not ticks:
+            continue
+        statuses = sum((d.statuses for d in drives), Counter[vf.Status]())
+        table.add_row(
+            scene.name,
+            f"{ticks:,}",
+            f"{sum(d.crossings for d in drives):,}",
+            f"{statuses[vf.Status.HELD]:,}",
+            f"{statuses[vf.Status.SHORTENED]:,}",
+            f"{statuses[vf.Status.RECOVERING]:,}",
+            f"{sum(d.planes for d in drives) / ticks:.1f}",
+            f"{sum(d.shrunk for d in drives):,}",
+            f"{1e6 * float(np.median([t for d in drives for t in d.times])):.0f}",
+        )
+    return table
 
 
 def _percent(part: int, whole: int) -> str:

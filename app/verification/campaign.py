@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -12,12 +14,14 @@ from numpy.typing import NDArray
 
 import robots
 import vf
-from app.verification import hands, oracles
+from app.verification import hands, oracles, scenes
 from meshes.shapes import Arrays
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int], None]
 
+# Shares of a tick at which the tip is looked at.
+MARKS = np.linspace(0.0, 1.0, 5)
 EPISODE = 400  # ticks from one start position
 SAMPLED = 97  # every so many ticks the blocked share is measured
 QUERIES_SAMPLED = 16  # and every so many queries, from the first on
@@ -72,17 +76,21 @@ def drive(
     seed: int,
     noise: float = 0.0,
     tip_radius: float = 0.0,
+    scene: scenes.Scene = scenes.PLAIN,
     outside_of: vf.Surface | None = None,
     progress: Progress = lambda _ticks: None,
 ) -> Drive:
     """Let adversarial hands push the arm against a mesh for `steps` ticks.
 
     Every few hundred ticks the arm starts anew: at random joint positions all over its range, with
-    the mesh moved so that a random spot of it is next to the tip. The segment between the true tip
-    positions of consecutive ticks is judged against every triangle around it; a tip with a radius
-    crosses a triangle where its ball cuts it.
+    the mesh moved so that a random spot of it is next to the tip. The segments between the true tip
+    positions of consecutive ticks, and between some that the joints pass on the way, are judged
+    against every triangle and the corridor; a tip with a radius crosses a triangle where its ball
+    cuts it.
 
     Args:
+        tip_radius: of the tip, at least that of the scene [m].
+        scene: what else stands around the tip.
         noise: bound on the actuation error at the tip added after every tick, as a share of the
             motion sphere's radius. The standoff is set to four times it (at least the default):
             an error larger than the standoff cannot be promised away by any planes.
@@ -91,33 +99,46 @@ def drive(
     rng = np.random.default_rng(seed)
     result = Drive()
     bound = noise * (radius if radius is not None else 5e-4)
-    settings = vf.Settings(standoff=max(vf.Settings.standoff, 4.0 * bound), tip_radius=tip_radius)
+    tip_radius = max(tip_radius, scene.tip_radius)
+    settings = vf.Settings(
+        dt=scene.period, standoff=max(scene.standoff, 4.0 * bound), tip_radius=tip_radius
+    )
     while result.ticks < steps:
         q = _some_pose(arm, rng)
         tip = arm.tip(q)
-        surface = _surface_near(mesh, tip.translation, tip_radius, outside_of, rng)
-        controller = vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)], settings)
+        around = scenes.Surroundings(
+            scene,
+            partial(_surface_near, mesh, tip.translation, tip_radius, outside_of, rng),
+            tip.translation, rule, radius, tip_radius, rng,
+        )  # fmt: skip
+        controller = vf.Controller(arm, around.fixtures, settings)
         tools = [tip]
-        hand = hands.goals(rng, surface, tip, tools)
+        hand = hands.goals(rng, around.surfaces[0], tip, tools)
         length = min(EPISODE, steps - result.ticks)
         for _ in range(length):
-            x = tools[0].translation.copy()
+            before = q
             step = controller.step(q, next(hand))
             q = _actuate(arm, step.q, bound, rng) if bound else step.q
             tools[0] = arm.tip(q)
-            _judge(result, surface, step, x, tools[0].translation, tip_radius, rng)
+            _judge(result, around, step, _way(arm, before, q), rng)
             result.ticks += 1
         progress(length)
     return result
 
 
+def _way(arm: robots.Arm, q: FloatArray, q_new: FloatArray) -> list[FloatArray]:
+    """Tip positions (3,) that joints pass which move evenly from q to q_new (n,)."""
+    if (q_new == q).all():
+        return [arm.tip(q).translation.copy()]
+    marks = MARKS if arm.revolute.any() else MARKS[[0, -1]]
+    return [arm.tip(q + t * (q_new - q) if t < 1.0 else q_new).translation.copy() for t in marks]
+
+
 def _judge(
     result: Drive,
-    surface: vf.Surface,
+    around: scenes.Surroundings,
     step: vf.Step,
-    x: FloatArray,
-    y: FloatArray,
-    tip_radius: float,
+    way: list[FloatArray],
     rng: np.random.Generator,
 ) -> None:
     result.statuses[step.status] += 1
@@ -128,16 +149,13 @@ def _judge(
     if step.status is vf.Status.INSIDE:
         result.inside += 1
         return
-    if (y != x).any() and (
-        oracles.scrapes(surface, x, y, tip_radius)
-        if tip_radius
-        else oracles.crossings(surface, x, y)
-    ):
+    if any(around.crossings(a, b) for a, b in pairwise(way)):
         result.crossings += 1
         if not result.first:
-            result.first = f"tick {result.ticks}: {x.tolist()} → {y.tolist()}"
+            result.first = f"tick {result.ticks}: {way[0].tolist()} → {way[-1].tolist()}"
     if result.ticks % SAMPLED == 0 and step.radius > 0.0:
-        forbidden, free = oracles.blocked(surface, step.planes, x, step.radius, rng, 16)
+        surface = around.surfaces[0]
+        forbidden, free = oracles.blocked(surface, step.planes, way[0], step.radius, rng, 16)
         result.forbidden += forbidden
         result.free += free
 
@@ -198,6 +216,7 @@ def query(
     queries: int,
     seed: int,
     standoff: float = 0.0,
+    tip_radius: float = 0.0,
     outside_of: vf.Surface | None = None,
     progress: Progress = lambda _queries: None,
 ) -> Cover:
@@ -207,7 +226,8 @@ def query(
 
     Args:
         edges: radius of the ball in median edge lengths.
-        standoff: of the certified rule [m]; the other rules have none here.
+        standoff, tip_radius: of the certified rule [m]; the other rules have none here. A tip that
+            overlaps the mesh is not asked for.
         outside_of: ask only outside this closed surface (the mesh before it was damaged).
     """
     surface = vf.Surface.from_arrays(*mesh)
@@ -218,14 +238,17 @@ def query(
         corners = surface.vertices[surface.faces[rng.integers(len(surface.faces))]]
         heading = rng.normal(size=3)
         heading /= np.linalg.norm(heading)
-        x = rng.dirichlet([1.0, 1.0, 1.0]) @ corners + heading * radius * rng.uniform(0.001, 1.0)
+        gap = tip_radius + radius * rng.uniform(0.001, 1.0)
+        x = rng.dirichlet([1.0, 1.0, 1.0]) @ corners + heading * gap
         if surface.inside(x) or (outside_of is not None and outside_of.inside(x)):
             continue
-        planes = planes_of(rule, surface, x, radius, standoff)
+        if tip_radius and surface.nearest(x)[0] <= tip_radius:
+            continue
+        planes = planes_of(rule, surface, x, radius, standoff, tip_radius)
         result.queries += 1
         result.planes += len(planes)
         result.shrunk += planes.radius < radius
-        if oracles.leaks(surface, planes, x, planes.radius):
+        if oracles.leaks(surface, planes, x, planes.radius, tip_radius):
             result.leaking += 1
             if not result.first:
                 result.first = f"query {result.queries}: x = {x.tolist()}, radius {radius!r}"
@@ -240,11 +263,16 @@ def query(
 
 
 def planes_of(
-    rule: str, surface: vf.Surface, x: FloatArray, radius: float, standoff: float
+    rule: str,
+    surface: vf.Surface,
+    x: FloatArray,
+    radius: float,
+    standoff: float,
+    tip_radius: float = 0.0,
 ) -> vf.Planes:
     """The planes of a rule as it stands, without the controller around it."""
     if rule == "certified":
-        return vf.certified_planes(surface, x, radius, standoff)
+        return vf.certified_planes(surface, x, radius, standoff, tip_radius)
     if rule == "paper":
         return vf.paper_planes(surface, x, radius)
     if rule == "all":

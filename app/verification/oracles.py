@@ -1,9 +1,11 @@
-"""Judges of the certified rule that share no code with it, beyond the list of local triangles.
+"""Judges of the certified rule that share no code with it, not even the list of local triangles.
 
-They take that list from `Surface.within`, which the tests compare with brute force.
+They go through the boxes of all triangles, which takes as long as a few ticks of the controller.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +22,7 @@ SCRATCH = 1e-9
 
 def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
     """Number of triangles that the closed segment from a to b (3,) touches or crosses: exact."""
-    middle = 0.5 * (a + b)
-    reach = 0.5 * float(np.linalg.norm(b - a)) + 1e-9
-    near = surface.within(middle, reach).triangles
+    near = _near(surface, np.minimum(a, b), np.maximum(a, b))
     return _count_crossings(surface, near, a, b)
 
 
@@ -40,27 +40,49 @@ def scrapes(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float
 
     "Cuts" by more than `SCRATCH`.
     """
-    middle = 0.5 * (a + b)
-    reach = 0.5 * float(np.linalg.norm(b - a)) + tip_radius
-    near = surface.within(middle, reach).triangles
+    near = _near(surface, np.minimum(a, b) - tip_radius, np.maximum(a, b) + tip_radius)
     room = tip_radius - SCRATCH
     return int(_count_scrapes(surface.vertices, surface.faces, near, a, b, room))
 
 
 def leaks(
-    surface: vf.Surface, planes: vf.Planes, x: FloatArray, radius: float, tolerance: float = 1e-11
+    surface: vf.Surface,
+    planes: vf.Planes,
+    x: FloatArray,
+    radius: float,
+    tip_radius: float = 0.0,
+    tolerance: float = 1e-11,
 ) -> int:
     """Triangles with a point in the ball strictly on the allowed side of every plane.
 
-    "Strictly" and "in the ball" by more than `tolerance` [m].
+    The ball is larger by the tip's radius and the planes are moved back by it. "Strictly" and "in
+    the ball" by more than `tolerance` [m].
     """
-    near = surface.within(x, radius).triangles
+    p = np.asarray(x, dtype=np.float64)
+    reach = radius + tip_radius
+    near = _near(surface, p - reach, p + reach)
     return int(
         _count_leaks(
-            surface.vertices, surface.faces, near, planes.normals, planes.offsets,
-            np.asarray(x, dtype=np.float64), radius, tolerance,
+            surface.vertices, surface.faces, near, planes.normals, planes.offsets - tip_radius,
+            p, reach, tolerance,
         )
     )  # fmt: skip
+
+
+def aside(path: FloatArray, direction: FloatArray, p: FloatArray) -> float:
+    """Distance [m] of p (3,) from a path (k, 3), its ends carried on straight, seen along a
+    direction (3,) of length 1.
+    """
+    flat = path - np.outer(path @ direction, direction)
+    q = p - (p @ direction) * direction
+    starts, ways = flat[:-1], np.diff(flat, axis=0)
+    lengths2 = (ways * ways).sum(axis=1)
+    starts, ways, lengths2 = starts[lengths2 > 0.0], ways[lengths2 > 0.0], lengths2[lengths2 > 0.0]
+    shares = ((q - starts) * ways).sum(axis=1) / lengths2
+    low, high = np.zeros(len(ways)), np.ones(len(ways))
+    low[0], high[-1] = -np.inf, np.inf
+    feet = starts + np.clip(shares, low, high)[:, None] * ways
+    return float(np.linalg.norm(q - feet, axis=1).min())
 
 
 def blocked(
@@ -79,7 +101,7 @@ def blocked(
     u = rng.normal(size=(samples, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
     ys = x + u * (radius * rng.uniform(size=(samples, 1)) ** (1.0 / 3.0))
-    near = surface.within(x, radius).triangles
+    near = _near(surface, x - radius, x + radius)
     free = forbidden = 0
     for y in ys:
         if _count_crossings(surface, near, x, y):
@@ -88,6 +110,32 @@ def blocked(
         far = bool(np.linalg.norm(y - x) > planes.radius)
         forbidden += far or bool((planes.normals @ y < planes.offsets).any())
     return forbidden, free
+
+
+@lru_cache(maxsize=4)
+def _boxes(surface: vf.Surface) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner (m, 3) of every triangle's box."""
+    corners = surface.vertices[surface.faces]
+    return corners.min(axis=1), corners.max(axis=1)
+
+
+def _near(surface: vf.Surface, low: FloatArray, high: FloatArray) -> NDArray[np.int64]:
+    """All triangles whose box reaches a box, both closed, and some more."""
+    lowest, highest = _boxes(surface)
+    found = np.empty(len(lowest), dtype=np.int64)
+    return found[: _overlapping(lowest, highest, low - SCRATCH, high + SCRATCH, found)]
+
+
+@njit(cache=True, nogil=True)
+def _overlapping(lowest, highest, low, high, found):  # type: ignore[no-untyped-def]
+    count = 0
+    for t in range(len(lowest)):
+        found[count] = t
+        apart = False
+        for k in range(3):
+            apart |= lowest[t, k] > high[k] or highest[t, k] < low[k]
+        count += not apart
+    return count
 
 
 @njit(cache=True, nogil=True)

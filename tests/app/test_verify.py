@@ -17,7 +17,7 @@ import robots
 import vf
 from app.commands import verify
 from app.settings import OptionError
-from app.verification import campaign
+from app.verification import campaign, oracles, scenes
 from meshes.damage import damage, kinds
 from vf.cover import Buffer
 
@@ -77,6 +77,66 @@ def test_nothing_leaks(kind):
             assert 0 < found.free <= 2 * 64  # two of the queries are sampled for what is blocked
 
 
+# What stands around the tip
+
+
+@pytest.mark.parametrize("scene", scenes.SCENES[1:], ids=lambda scene: scene.name)
+def test_nothing_gets_through_whatever_stands_around_the_tip(scene: scenes.Scene) -> None:
+    for k, name in enumerate(("gear", "thin-plate")):
+        result = campaign.drive(
+            robots.load("point"), damage("holes", meshes.arrays(name)), rule="certified",
+            radius=5e-3, steps=120, seed=k, noise=5e-3 * k, scene=scene,
+        )  # fmt: skip
+        assert result.ticks == 120
+        assert result.crossings == 0, result.first
+        assert result.inside == 0
+        if scene.pins:
+            assert result.shrunk > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["psm", "ur5"])
+@pytest.mark.parametrize("scene", scenes.SCENES, ids=lambda scene: scene.name)
+def test_nothing_gets_through_with_an_arm_whatever_stands_around(scene, robot) -> None:
+    for k, name in enumerate(("gear", "torus", "skull-coarse")):
+        result = campaign.drive(
+            robots.load(robot), damage("flipped", meshes.arrays(name)), rule="certified",
+            radius=(None, 5e-3)[k % 2], steps=300, seed=k, scene=scene,
+        )  # fmt: skip
+        assert result.crossings == 0, result.first
+
+
+def test_every_surface_of_a_scene_and_its_corridor_are_judged() -> None:
+    x, down = np.zeros(3), np.array([0.0, 0.0, -1.0])
+    depths = iter((1e-3, 2e-3, 3e-3))
+    floor = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
+    around = scenes.Surroundings(
+        scenes.Scene("all", meshes=3, pins=True, corridor=True),
+        lambda: vf.Surface.from_arrays(floor + next(depths) * down, [[0, 1, 2]]),
+        x, "certified", 5e-3, 0.0, np.random.default_rng(1),
+    )  # fmt: skip
+    assert len(around.fixtures) == 5
+    corridor = around.fixtures[-1]
+    assert isinstance(corridor, vf.CorridorFixture)
+    across = np.cross(corridor.direction, down)
+    for k in range(4):
+        y = (1e-3 * k + 5e-4) * down
+        out = oracles.aside(corridor.path, corridor.direction, y) > corridor.width
+        assert around.crossings(x, y) == k + out
+    assert around.crossings(x, 0.5 * across / np.linalg.norm(across)) == 1  # the corridor alone
+    assert around.crossings(x, 2.0 * around.surfaces[3].vertices[0]) >= 1  # a pin
+
+
+def test_the_distance_from_a_path_seen_along_the_cut():
+    path = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 5.0], [1.0, 1.0, -3.0], [1.0, 1.0, 2.0]])
+    for p, distance in (
+        ([0.5, 0.5, 9.0], 0.5), ([-2.0, 0.3, 1.0], 2.0), ([-1.0, -7.0, 0.0], 1.0),
+        ([5.0, 1.5, 0.0], 0.5), ([-3.0, 5.0, 0.0], 5.0),
+    ):  # fmt: skip
+        found = oracles.aside(path, np.array([0.0, 0.0, 1.0]), np.array(p))
+        assert found == pytest.approx(distance), p
+
+
 # The campaign has teeth
 
 
@@ -126,8 +186,9 @@ def test_a_weakened_cover_is_caught(monkeypatch):
     def weakened(self, surface, x, radius, standoff, tip_radius, first=0, sharing=False):
         m, reach = honest(self, surface, x, radius, standoff, tip_radius, first, sharing)
         back = standoff + 5e-5
-        normals, offsets, points, _, _ = self.rows(first)
+        normals, offsets, points, _, _, floors = self.rows(first)
         offsets[:m] -= back
+        floors[:m] -= back
         points[:m] -= back * normals[:m]
         return m, reach
 
