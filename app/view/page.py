@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import pinocchio as pin
-import rich
 import viser
 from numpy.typing import NDArray
 
@@ -99,7 +97,7 @@ class Page:
         self._session = session
         self._host = host
         self._token = guard.token_for(host)
-        with _quiet_console():
+        with guard.quiet_console():
             self._server = guard.serve(host, port, self._token, label="vf-sandbox", verbose=False)
         server, api = self._server, self._server.scene
         style.colour(server.gui, dark=False)
@@ -228,7 +226,7 @@ class Page:
         self._hand.moved.set()
         self._thread.join()
         self._hand.close()
-        with _quiet_console():
+        with guard.quiet_console():
             self._server.stop()
 
     def _run(self) -> None:
@@ -395,14 +393,3 @@ class Page:
             "Tether": (True, self._proxy.show_tether),
             "Labels": (True, names),
         }
-
-
-@contextlib.contextmanager
-def _quiet_console() -> Iterator[None]:
-    """Keeps viser from printing a box of addresses and a farewell; the command line has its own."""
-    console = rich.get_console()
-    quiet, console.quiet = console.quiet, True
-    try:
-        yield
-    finally:
-        console.quiet = quiet
