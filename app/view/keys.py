@@ -53,14 +53,6 @@ class Keys:
         self._session = session
         self._hand = hand
         self._tell = tell
-        for key, (word, direction) in NUDGES.items():
-            for length, held in ((FINE, None), (COARSE, "shift")):
-                self._add(
-                    f"Nudge the proxy {word} by {length * 1e3:g} mm",
-                    key,
-                    partial(self._nudge, np.array(direction), length),
-                    held,
-                )
         self._add("Loop: pause, or run", "P", lambda _client: self._pause_or_run())
         for held, ticks in STEPS.items():
             label = f"Loop: pause, and do {ticks} tick{'s' if ticks > 1 else ''}"
@@ -72,6 +64,14 @@ class Keys:
             self._add(f"Rule: {rule}", str(number), partial(self._rule, rule))
         for key, (label, order) in views.items():
             self._add(label, key, order)
+        for key, (word, direction) in NUDGES.items():
+            for length, held in ((FINE, None), (COARSE, "shift")):
+                self._add(
+                    f"Nudge the proxy {word} by {length * 1e3:g} mm",
+                    key,
+                    partial(self._nudge, np.array(direction), length),
+                    held,
+                )
 
     def _add(self, label: str, key: str, order: Order, held: str | None = None) -> None:
         command = self._gui.add_command(

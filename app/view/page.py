@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
-import rich
 import viser
 from numpy.typing import NDArray
 
@@ -22,7 +21,7 @@ from app.player import Moment
 from app.scenario import Scenario
 from app.scene import Scene
 from app.session import Session
-from app.view import camera, guard, readouts, style, who
+from app.view import camera, guard, light, readouts, style, who
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
 from app.view.corridor import CorridorControl
@@ -98,11 +97,11 @@ class Page:
         self._session = session
         self._host = host
         self._token = guard.token_for(host)
-        with _quiet_console():
+        with guard.quiet_console():
             self._server = guard.serve(host, port, self._token, label="vf-sandbox", verbose=False)
         server, api = self._server, self._server.scene
         style.colour(server.gui, dark=False)
-        _light(api)
+        light.shine(api)
         self._screen = Screen(session)
         self._scene_version = -1
         self._anatomy = Anatomy(api)
@@ -227,7 +226,7 @@ class Page:
         self._hand.moved.set()
         self._thread.join()
         self._hand.close()
-        with _quiet_console():
+        with guard.quiet_console():
             self._server.stop()
 
     def _run(self) -> None:
@@ -378,18 +377,6 @@ class Page:
         """The layer switches, by their names in the panel, and whether they start switched on."""
         fixture = self._fixture
 
-        def sphere(on: bool) -> None:
-            fixture.show_sphere = on
-
-        def planes(on: bool) -> None:
-            fixture.show_planes = on
-
-        def normals(on: bool) -> None:
-            fixture.show_normals = on
-
-        def triangles(on: bool) -> None:
-            fixture.show_triangles = on
-
         def names(on: bool) -> None:
             self._proxy.show_labels(on)
             self._rulers.show(on)
@@ -398,35 +385,11 @@ class Page:
             "Anatomy": (True, self._anatomy.show),
             "See-through": (False, self._anatomy.set_translucent),
             "Arm": (True, self._arm.show),
-            "Motion sphere": (True, sphere),
-            "Planes": (True, planes),
-            "Normals": (True, normals),
-            "Triangles": (True, triangles),
+            "Motion sphere": (True, partial(setattr, fixture, "show_sphere")),
+            "Planes": (True, partial(setattr, fixture, "show_planes")),
+            "Normals": (True, partial(setattr, fixture, "show_normals")),
+            "Triangles": (True, partial(setattr, fixture, "show_triangles")),
             "Force": (True, self._tool.show_force),
             "Tether": (True, self._proxy.show_tether),
             "Labels": (True, names),
         }
-
-
-@contextlib.contextmanager
-def _quiet_console() -> Iterator[None]:
-    """Keeps viser from printing a box of addresses and a farewell; the command line has its own."""
-    console = rich.get_console()
-    quiet, console.quiet = console.quiet, True
-    try:
-        yield
-    finally:
-        console.quiet = quiet
-
-
-def _light(api: viser.SceneApi) -> None:
-    """Even light with one main direction, so that shapes read without hard shadows."""
-    # viser's own lights wash out light colours such as bone.
-    api.configure_default_lights(False, cast_shadow=False)
-    # No environment map: reflections on bone say little, and without a graphics card they cost some
-    # hundred times what all the rest of the picture does.
-    api.configure_environment_map(None)
-    api.add_light_hemisphere(
-        "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=1.7
-    )
-    api.add_light_directional("/light/sun", intensity=1.9, position=(60.0, 10.0, 60.0))

@@ -9,8 +9,9 @@ the start should one of them have changed.
 from then on, and a connection hands on no message that `problem_with` finds fault with.
 """
 
+from app.view.guard.complaints import quiet_console
 from app.view.guard.door import token_for
 from app.view.guard.repairs import Unguarded
 from app.view.guard.server import census, serve
 
-__all__ = ["Unguarded", "census", "serve", "token_for"]
+__all__ = ["Unguarded", "census", "quiet_console", "serve", "token_for"]

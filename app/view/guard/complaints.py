@@ -1,12 +1,15 @@
-"""What goes to the log: no more than whoever reads it can use, however much clients try."""
+"""What goes to log and console: no more than whoever reads it can use, whatever clients try."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
+
+import rich
 
 from app.view.guard.allowance import Allowance
 
@@ -33,3 +36,14 @@ def quiet_log() -> logging.Logger:
     passing = ("opening handshake failed", "keepalive ping failed")
     logger.addFilter(lambda record: record.getMessage() not in passing)
     return logger
+
+
+@contextlib.contextmanager
+def quiet_console() -> Iterator[None]:
+    """Keeps viser from printing a box of addresses and a farewell; the command line has its own."""
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = quiet
