@@ -189,6 +189,22 @@ def test_the_certified_rule_is_never_seen_to_cross(state: str, tip_radius: float
     assert np.ptp(run.tips, axis=0).max() > 5e-3, "the tool must have moved"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("state", ["none", "jittered", "holes", "flipped", "slivers"])
+def test_the_certified_rule_is_never_seen_to_cross_in_a_long_run(state: str) -> None:
+    options = Options(mesh="skull-coarse", damage=state)
+    run = Run(scenes.build(options, 1), options)
+    rng = np.random.default_rng(5)
+    tools = [run.scene.T_base_start]
+    hand = goals(rng, run.scene.surface, tools[0], tools)
+    for k in range(20_000):
+        run.go(1, next(hand))
+        tools[0] = pin.SE3(tools[0].rotation, run.tips[-1])
+        if k % 500 == 0:
+            assert run.seen() is None
+    assert run.seen() is None
+
+
 def _some(hand: object, count: int) -> list[pin.SE3]:
     return [next(hand) for _ in range(count)]
 

@@ -164,3 +164,27 @@ def test_opens_what_was_saved_and_looks_at_it_from_the_same_place(
     visitor.tab.get_by_text("is not known here: bring it first").first.wait_for()
     assert session.scene.mesh_name == options.mesh
     assert visitor.complaints == []
+
+
+def test_the_leak_of_the_papers_rule_is_said_until_reset(
+    visitor: Visitor, session: Session
+) -> None:
+    visitor.choose("Show", "unclean-mesh-paper")
+    visitor.press("Load")
+    wait_until(lambda: session.scene.mesh_name == "skull-coarse", "the skull")
+    wait_until(lambda: session.crossing is not None, "the tool to cross")
+    crossing = session.crossing
+    assert crossing is not None
+    latch = visitor.tab.get_by_text(f"Crossed at tick {crossing.tick:,}, triangle #")
+    latch.wait_for(timeout=60_000)
+    mark = visitor.tab.get_by_text(f"✕ crossed at tick {crossing.tick:,}")
+    mark.wait_for(timeout=60_000)
+    wait_until(lambda: visitor.readout("crossing") == f"tick {crossing.tick:,}", "the read-out")
+    rests(session)
+    assert latch.is_visible()
+    assert visitor.tab.get_by_text("Free.", exact=True).count() == 0
+    visitor.picture("scenario-leak")
+    visitor.press("Reset")
+    latch.wait_for(state="hidden", timeout=60_000)
+    mark.wait_for(state="hidden", timeout=60_000)
+    assert visitor.complaints == []
