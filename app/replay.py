@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+import meshes
 from app import scene as scenes
 from app.engine import Engine, Orders, Plant
 from app.files import shown
@@ -149,7 +151,14 @@ def build(
     options = noted.options
     options = replace(options, mesh=mesh or options.mesh, path=path or options.path)
     check_names(options)
-    scene = scenes.build(options, version, progress)
+    try:
+        scene = scenes.build(options, version, progress)
+    except meshes.UnitNeeded:
+        # Recorded when units were guessed: the checksum knows which it was.
+        found = _in_some_unit(options, noted.checksum, version, progress)
+        if found is None:
+            raise
+        scene = found
     surface = scene.surface
     if surface.checksum != noted.checksum:
         raise RecordingError(
@@ -162,6 +171,18 @@ def build(
             f"the tool starts elsewhere over '{shown(options.mesh)}' than was recorded"
         )
     return scene
+
+
+def _in_some_unit(
+    options: Options, checksum: str, version: int, progress: Progress | None
+) -> Scene | None:
+    """The scene of this mesh, in the unit that gives this checksum; None: none does."""
+    for unit in ("mm", "m"):
+        with contextlib.suppress(ValueError):
+            scene = scenes.build(replace(options, unit=unit), version, progress)
+            if scene.surface.checksum == checksum:
+                return scene
+    return None
 
 
 def first_difference(

@@ -17,6 +17,7 @@ import trimesh
 from forgery import forged, npy
 from runs import a_run
 
+import meshes
 from app import player, replay, table
 from app import scene as scenes
 from app.commands import replay as command
@@ -282,3 +283,21 @@ def test_a_mesh_whose_file_is_called_anything_is_recorded_and_found_from_anywher
     (tmp_path / path).rename(tmp_path / "moved.stl")
     assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_mesh_whose_unit_was_guessed_when_it_was_recorded_is_found_by_its_checksum(
+    tmp_path: Path,
+) -> None:
+    trimesh.creation.box((3.0, 3.0, 2.0)).export(tmp_path / "box.stl")  # in mm, or in m
+    a_run(tmp_path / "run.vfrec", replace(CUBE, mesh=str(tmp_path / "box.stl"), unit="mm"), 5)
+
+    def guessed(header: dict[str, Any], members: dict[str, bytes]) -> None:
+        for entry in (*header["places"], *header["plants"]):
+            entry["options"]["unit"] = None
+
+    old = read(forged(tmp_path / "run.vfrec", tmp_path, guessed, version=1))
+    assert old.places[0].options.unit is None
+    assert replay.first_difference(old) is None
+    trimesh.creation.box((3.0, 3.0, 2.1)).export(tmp_path / "box.stl")
+    with pytest.raises(meshes.UnitNeeded):
+        replay.first_difference(old)
