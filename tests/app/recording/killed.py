@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import resource
 import time
 from pathlib import Path
@@ -10,12 +11,20 @@ import numpy as np
 import pinocchio as pin
 
 from app import scene as scenes
-from app.engine import Engine, Orders
+from app.engine import Engine, Orders, Plant
 from app.messages import Command, LoopStats
+from app.scene import Scene
 from app.settings import Options
 from app.tape import Tape
 
 CUBE = Options(mesh="cube", robot="point")
+
+
+@functools.cache
+def prepare() -> tuple[Scene, Plant]:
+    """What all of them record."""
+    scene = scenes.build(CUBE, 1)
+    return scene, scenes.plant(scene, CUBE)
 
 
 def record(folder: str, limit: int | None = None) -> None:
@@ -23,8 +32,7 @@ def record(folder: str, limit: int | None = None) -> None:
 
     Says in a file beside it what the tape knows to be written, and what came of it.
     """
-    scene = scenes.build(CUBE, 1)
-    plant = scenes.plant(scene, CUBE)
+    scene, plant = prepare()
     engine = Engine(orders := Orders(plant, Command(None, 0)))
     start = scene.T_base_start
     if limit is not None:

@@ -31,10 +31,13 @@ Wait = Callable[[Callable[[], bool]], None]
 
 @pytest.fixture(scope="module")
 def processes() -> Iterator[multiprocessing.context.ForkServerContext]:
-    """Starts processes that have all modules loaded already."""
+    """Starts processes that have everything loaded already."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["killed"])
-    yield context
+    context.set_forkserver_preload(["prepared"])
+    with pytest.MonkeyPatch.context() as patch:
+        # What is to be loaded is looked for there; this process's own path is not handed on.
+        patch.setenv("PYTHONPATH", os.pathsep.join((str(Path(__file__).parent), str(ROOT))))
+        yield context
     from multiprocessing import forkserver, resource_tracker
 
     forkserver._forkserver._stop()  # type: ignore[attr-defined]
