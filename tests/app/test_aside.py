@@ -126,6 +126,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 PLENTY = aside.Allowance(60.0, 4e9)
 
 
+@pytest.mark.slow
 def test_work_beyond_its_allowance_ends_and_says_why(
     work: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:

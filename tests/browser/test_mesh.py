@@ -44,6 +44,11 @@ def says(visitor: Visitor, button: str):  # a playwright Locator
     return visitor.tab.get_by_role("button", name=button, exact=True)
 
 
+def in_millimetres(visitor: Visitor) -> None:
+    """Answer the question for the unit; the size is beside it."""
+    visitor.tab.get_by_role("button", name=re.compile("^mm: ")).click()
+
+
 def send(visitor: Visitor, path: Path) -> None:
     """Choose a file in the dialog that the upload button opens."""
     with visitor.tab.expect_file_chooser() as chooser:
@@ -173,7 +178,7 @@ def test_what_was_brought_keeps_its_name_outlives_the_page_and_is_deleted_when_c
     name = "Schädel (links) 頭.stl"
     trimesh.creation.icosphere(subdivisions=2, radius=20.0).export(tmp_path / name)
     send(visitor, tmp_path / name)
-    visitor.press("mm")
+    in_millimetres(visitor)
     wait_until(lambda: session.scene.mesh_name == name, "the ball to be taken")
     visitor.tab.get_by_text("Sound: no defects.").wait_for()
     kept = Path(session.options.mesh)
@@ -181,7 +186,7 @@ def test_what_was_brought_keeps_its_name_outlives_the_page_and_is_deleted_when_c
         path = tmp_path / f"other {k}.off"
         trimesh.creation.box((20.0 + k, 20.0, 10.0)).export(path)
         send(visitor, path)
-        visitor.press("mm")
+        in_millimetres(visitor)
         wait_until(lambda path=path: session.scene.mesh_name == path.name, "the other")
         wait_until(lambda: says(visitor, "Examine").is_enabled(), "the page to be done")
     visitor.choose("Mesh", name)
