@@ -26,13 +26,13 @@ from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
 from app.view.corridor import CorridorControl
 from app.view.crossing import CrossingMark
-from app.view.depth import Whereabouts, whereabouts
 from app.view.escape import Escape
 from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
 from app.view.inspector import InspectorTab
 from app.view.keys import Keys
+from app.view.measuring import Measuring
 from app.view.mesh_tab import MeshTab
 from app.view.panel import WHO, Panel, Readouts
 from app.view.proxy import Proxy
@@ -151,11 +151,7 @@ class Page:
         )
         self._features: list[Feature] = [make(stage) for make in FEATURES]
 
-        self._newest: Telemetry | None = None
-        self._newest_since = time.monotonic()
-        self._count = 0  # of read-outs
-        self._before: Telemetry | None = None  # at the last read-out
-        self._tip_before: NDArray[np.float64] | None = None
+        self._measuring = Measuring()
         self._frame()  # the first client finds everything in place
         self._read_out()
         self._stop = threading.Event()
@@ -316,29 +312,9 @@ class Page:
 
     def _read_out(self) -> None:
         shown = self._screen.now()
-        scene, options, telemetry = shown.scene, shown.options, shown.telemetry
-        step = telemetry.step
-        joints = tuple(scene.arm.joints)
-        in_sphere, speed = 0, 0.0
-        where: Whereabouts | None = None
-        if step is not None and telemetry.scene == scene.version:
-            p_tip = np.array(step.tip.translation)
-            in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
-            crossing = self._crossing_of(scene) if self._screen.live else None
-            where = whereabouts(scene, telemetry.q, p_tip, options.tip_radius, crossing)
-            before = self._before
-            if before is not None and self._tip_before is not None:
-                elapsed = telemetry.time - before.time
-                if elapsed > 0.0 and before.scene == telemetry.scene:
-                    speed = float(np.linalg.norm(p_tip - self._tip_before)) / elapsed
-            self._before, self._tip_before = telemetry, p_tip
-        now = time.monotonic()
-        if telemetry is not self._newest:  # also a paused loop says something each tick
-            self._newest, self._newest_since = telemetry, now
-        self._count += 1
-        silent = now - self._newest_since
-        unwatched = self._session.unwatched
-        extras = readouts.Extras(in_sphere, speed, joints, silent, self._count, where, unwatched)
+        options, telemetry = shown.options, shown.telemetry
+        crossing = self._crossing_of(shown.scene) if self._screen.live else None
+        extras = self._measuring.measure(shown, crossing, self._session.unwatched)
         if self._screen.live:
             banner = readouts.banner(telemetry, options, extras, shown.clutched)
         else:

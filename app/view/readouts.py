@@ -137,7 +137,8 @@ def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
         orange = palette.css(palette.ORANGE)
         parts.append(f"<span style='border-bottom:2px solid {orange}'>{html.escape(remark)}</span>")
     return (
-        f"<div style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
+        "<div class='vf-banner' "
+        f"style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
         "background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px;line-height:1.35;"
         # Always three lines high, so that no button moves from under the mouse.
         f"min-height:calc(4.05em + 6px)'>{'<br>'.join(parts)}</div>"

@@ -1,0 +1,54 @@
+"""What the view measures between two read-outs."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.messages import Telemetry
+from app.player import Moment
+from app.view.depth import Whereabouts, whereabouts
+from app.view.readouts import Extras
+from app.watch import Crossing
+
+
+class Measuring:
+    """Called from the view thread, once for each read-out."""
+
+    def __init__(self) -> None:
+        self._newest: Telemetry | None = None
+        self._newest_since = time.monotonic()
+        self._count = 0
+        self._before: Telemetry | None = None  # at the last read-out
+        self._tip_before: NDArray[np.float64] | None = None
+
+    def measure(self, shown: Moment, crossing: Crossing | None, unwatched: int) -> Extras:
+        """What there is to say of this moment besides its telemetry.
+
+        Args:
+            crossing: where the tip crossed the mesh of this scene, if it did.
+            unwatched: ticks that nobody tested for a crossing.
+        """
+        scene, telemetry = shown.scene, shown.telemetry
+        step = telemetry.step
+        in_sphere, speed = 0, 0.0
+        where: Whereabouts | None = None
+        if step is not None and telemetry.scene == scene.version:
+            p_tip = np.array(step.tip.translation)
+            in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
+            where = whereabouts(scene, telemetry.q, p_tip, shown.options.tip_radius, crossing)
+            before = self._before
+            if before is not None and self._tip_before is not None:
+                elapsed = telemetry.time - before.time
+                if elapsed > 0.0 and before.scene == telemetry.scene:
+                    speed = float(np.linalg.norm(p_tip - self._tip_before)) / elapsed
+            self._before, self._tip_before = telemetry, p_tip
+        now = time.monotonic()
+        if telemetry is not self._newest:  # also a paused loop says something each tick
+            self._newest, self._newest_since = telemetry, now
+        self._count += 1
+        joints = tuple(scene.arm.joints)
+        silent = now - self._newest_since
+        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched)
