@@ -211,6 +211,4 @@ class ScenarioChoice:
         self._say(f"⏳ {text} …", palette.BLUE)
 
     def _say(self, text: str, color: palette.Rgb) -> None:
-        self._sentence.content = (
-            f"<div style='{_STYLE};color:{palette.css(color)}'>{html.escape(text)}</div>"
-        )
+        self._sentence.content = f"<div class='vf-sentence' style='{_STYLE};color:{palette.css(color)}'>{html.escape(text)}</div>"

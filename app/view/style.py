@@ -37,6 +37,7 @@ _PHONE = """
     width: 100% !important; }
   .vf-title { display: none; }
   .vf-banner { min-height: calc(2.7em + 6px) !important; }
+  .vf-sentence { height: 2.7em !important; }
 }
 """
 
