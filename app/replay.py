@@ -17,7 +17,7 @@ from app.recording.format import CHUNK, COMPARED, ROWS, Recording, RecordingErro
 from app.recording.rows import command as command_of
 from app.recording.rows import fill
 from app.scene import Progress, Scene
-from app.settings import Options, check_names
+from app.settings import Options
 
 
 def run_headless(
@@ -150,7 +150,6 @@ def build(
     noted = recording.places[place]
     options = noted.options
     options = replace(options, mesh=mesh or options.mesh, path=path or options.path)
-    check_names(options)
     try:
         scene = scenes.build(options, version, progress)
     except meshes.UnitNeeded:
