@@ -21,8 +21,8 @@ DAMAGES = (
     "fin", "interpenetrating", "sheet",
 )  # fmt: skip
 MESHES = (
-    "skull-closed", "skull", "skull-coarse", "skull-fine", "skull-fused", "skull-precut", "cube", "sphere",
-    "cylinder", "cone", "torus", "gear", "l-block", "stairs", "star-prism", "thin-plate",
+    "skull-closed", "skull", "skull-coarse", "skull-fine", "skull-fused", "skull-precut", "cube",
+    "sphere", "cylinder", "cone", "torus", "gear", "l-block", "stairs", "star-prism", "thin-plate",
     "saddle-slab", "gyroid",
 )  # fmt: skip
 """Those made by formula, which are there on every machine."""

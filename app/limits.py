@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Any, Protocol
 
 from app.words import OptionError, format_length
@@ -47,10 +47,14 @@ class Number:
         if value is None and self.optional:
             return
         low, high = self.text(self.low), self.text(self.high)
-        if not isinstance(value, Real) or isinstance(value, bool):
+        if not isinstance(value, numbers.Real) or isinstance(value, bool):
             raise OptionError(f"{name} must be a number from {low} to {high}, not {shown(value)}")
-        if not self.low <= value <= self.high:
-            raise OptionError(f"{name} {self.text(float(value))} is outside {low} to {high}")
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number of more than 308 digits
+            number = math.inf if value > 0 else -math.inf
+        if not self.low <= number <= self.high:
+            raise OptionError(f"{name} {self.text(number)} is outside {low} to {high}")
 
     def text(self, value: float) -> str:
         """A value as one would write it."""
@@ -77,11 +81,11 @@ class Whole:
         """See `Limit.check`."""
         if value is None and self.optional:
             return
-        if not isinstance(value, Integral) or isinstance(value, bool):
+        if not isinstance(value, numbers.Integral) or isinstance(value, bool):
             raise OptionError(
                 f"{name} must be a whole number from {self.low} to {self.high}, not {shown(value)}"
             )
-        if not self.low <= value <= self.high:
+        if not self.low <= int(value) <= self.high:
             raise OptionError(f"{name} {shown(int(value))} is outside {self.low} to {self.high}")
 
 
@@ -136,6 +140,15 @@ class File(Text):
         return not any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in text)
 
 
+@dataclass(frozen=True)
+class Path(File):
+    """A `pathlib.Path` of a file or folder; with `optional` also None."""
+
+    def check(self, name: str, value: Any) -> None:
+        """See `Limit.check`."""
+        super().check(name, None if value is None else str(value))
+
+
 class Switch:
     """On or off."""
 
@@ -181,7 +194,7 @@ def _three(name: str, value: Any, what: str) -> None:
     sound = (
         isinstance(value, tuple)
         and len(value) == 3
-        and all(isinstance(x, Real) and not isinstance(x, bool) for x in value)
+        and all(isinstance(x, numbers.Real) and not isinstance(x, bool) for x in value)
     )
     if not sound:
         raise OptionError(f"{name} must be three {what} x, y, z, not {shown(value)}")

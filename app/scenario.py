@@ -244,7 +244,7 @@ def _placed(
     scenario: Scenario, folder: Path | None, find: Callable[[str], str | None] | None
 ) -> Scenario:
     """The same, with the files it names found in its folder and no other, or by their names."""
-    found = {}
+    found: dict[str, Any] = {}
     for key in _FILES:
         name = getattr(scenario.options, key)
         if name is None:

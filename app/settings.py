@@ -10,8 +10,10 @@ import contextlib
 import io
 import math
 import sys
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import cleandoc
 from typing import Annotated, Any, TypeVar
 
 import tyro
@@ -97,13 +99,32 @@ def _written(
     )
 
 
-def _named(known: tuple[str, ...]) -> PrimitiveConstructorSpec[Any]:
-    """One of some names, shown in help; `limits.check` refuses others, wherever they come from."""
+def _radii(words: list[str]) -> tuple[float | None, ...]:
+    return tuple(map(parse_radius, words))
+
+
+def named(known: tuple[str, ...]) -> PrimitiveConstructorSpec[Any]:
+    """One of some names, shown in help; limits refuse others, wherever they come from."""
     return _written("|".join(known), str, str)
+
+
+def listed(known: tuple[str, ...]) -> PrimitiveConstructorSpec[Any]:
+    """Some of these names, joined by commas."""
+    return _written(f"{'|'.join(known)},…", str, str)
 
 
 Length = Annotated[float, _written("LENGTH", parse_length, format_length)]
 Radius = Annotated[float | None, _written("auto|LENGTH", parse_radius, format_length)]
+Radii = Annotated[
+    tuple[float | None, ...],
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="auto|LENGTH …",
+        instance_from_str=_radii,
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [format_length(radius) for radius in value],
+    ),
+]
 Corridor = Annotated[
     float | None,
     _written(
@@ -115,11 +136,12 @@ Point = Annotated[
     tuple[float, float, float] | None, _written("auto|X,Y,Z", parse_point, format_point)
 ]
 Turn = Annotated[tuple[float, float, float], _written("DEG,DEG,DEG", parse_turn, format_turn)]
-Robot = Annotated[str, _named(choices.ROBOTS)]
-Rule = Annotated[str, _named(choices.RULES)]
-Axis = Annotated[str, _named(choices.AXES)]
-Damage = Annotated[str, _named(choices.DAMAGES)]
-Unit = Annotated[str | None, _named(choices.UNITS)]
+Robot = Annotated[str, named(choices.ROBOTS)]
+Rule = Annotated[str, named(choices.RULES)]
+Axis = Annotated[str, named(choices.AXES)]
+Damage = Annotated[str, named(choices.DAMAGES)]
+Unit = Annotated[str | None, named(choices.UNITS)]
+Frame = Annotated[str | None, _written("|".join(choices.FRAMES), str.upper, str)]
 Mesh = Annotated[
     str,
     tyro.conf.arg(
@@ -228,7 +250,7 @@ def parse_as(
     description: str,
     default: T | None = None,
 ) -> T:
-    """A settings dataclass from command-line words, by tyro (which prints `--help` and errors).
+    """A settings dataclass from command-line words, by tyro (which prints options and errors).
 
     Args:
         default: where the words say nothing; None: the dataclass's own defaults.
@@ -237,16 +259,16 @@ def parse_as(
         OptionError: a value was not usable.
         SystemExit: after `--help` (0) or a usage error (2).
     """
+    if any(word in ("-h", "--help") for word in arguments):
+        print(_wrapped(description) + "\n")  # tyro would print a paragraph as one long line
     # tyro draws a box around our own messages. They are single lines that say all there is to
     # say, so catch the box and hand the message on; tyro's own errors are printed as they come.
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
             if default is None:
-                return tyro.cli(kind, prog=program, description=description, args=arguments)
-            return tyro.cli(
-                kind, prog=program, description=description, args=arguments, default=default
-            )
+                return tyro.cli(kind, prog=program, description="", args=arguments)
+            return tyro.cli(kind, prog=program, description="", args=arguments, default=default)
     except SystemExit as exit_:
         error = exit_.__context__
         while error is not None and not isinstance(error, OptionError):
@@ -255,3 +277,12 @@ def parse_as(
             raise error from None
         sys.stderr.write(box.getvalue())
         raise
+
+
+def _wrapped(text: str) -> str:
+    """Paragraphs in 79 columns; lines that are indented stay as they are."""
+    paragraphs = cleandoc(text).split("\n\n")
+    return "\n\n".join(
+        part if "\n " in part or part.startswith(" ") else textwrap.fill(part, 79)
+        for part in paragraphs
+    )

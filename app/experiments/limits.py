@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 from app import choices, limits
@@ -13,6 +12,7 @@ from app.words import OptionError
 EXPERIMENTS = ("tracing", "cutting")
 RULES = ("off", "certified", "paper")
 COUNTS = (0, 10**9)  # of ticks and of what happens in them
+WORKERS = Whole(0, 1000)  # processes of a study
 LONGEST = 1e6  # [s] of simulated or computing time
 
 TRIAL: dict[str, Limit] = {
@@ -59,16 +59,19 @@ class Table:
 
     def check(self, name: str, value: Any) -> None:
         """See `limits.Limit.check`."""
-        rows = value if isinstance(value, list) else [None]
-        sound = all(isinstance(row, list) for row in rows) and (
-            self.rows is None or len(rows) == self.rows
+        rows: list[list[Any]] = value if isinstance(value, list) else []
+        sound = (
+            isinstance(value, list)
+            and all(isinstance(row, list) for row in rows)
+            and self.rows in (None, len(rows))
+            and all(self.columns in (None, len(row)) for row in rows)
         )
-        if not sound or any(self.columns not in (None, len(row)) for row in rows):
+        if not sound:
             shape = f"{self.rows} row" if self.rows else f"rows of {self.columns} numbers"
             raise OptionError(f"{name} must be a table of {shape}, not {limits.shown(value)}")
         for number in (x for row in rows for x in row if x is not None):
-            sound = isinstance(number, Real) and not isinstance(number, bool)
-            if not sound or not self.low <= number <= self.high:
+            known = isinstance(number, int | float) and not isinstance(number, bool)
+            if not known or not self.low <= number <= self.high:
                 raise OptionError(
                     f"{name} has {limits.shown(number)}, which is no number from {self.low:g} "
                     f"to {self.high:g}"

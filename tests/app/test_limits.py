@@ -34,7 +34,7 @@ def outside(limit: limits.Limit) -> list[Any]:
     none = [] if getattr(limit, "optional", False) else [None]
     if isinstance(limit, Number):
         return [limit.low - 1.0, limit.high * 1.01 + 1.0, 1e300, -1e300, math.inf, -math.inf,
-                math.nan, "5mm", True, [1.0], *none]  # fmt: skip
+                math.nan, 10**400, -(10**400), "5mm", True, [1.0], *none]  # fmt: skip
     if isinstance(limit, Whole):
         return [limit.low - 1, limit.high + 1, 10**400, 1.5, math.nan, "1", False, *none]
     if isinstance(limit, OneOf):
