@@ -10,8 +10,11 @@ import sys
 import textwrap
 
 import app.commands
+from app.choices import check_mesh
 from app.commands import answer
 from app.console import closing, prepare
+from app.presets import find
+from app.scenario import Scenario
 from app.settings import OptionError, Options, parse
 
 ABOUT = """Drag a simulated surgical tool over anatomy; virtual fixtures keep it out.
@@ -55,23 +58,27 @@ def run(words: list[str]) -> int:
 
 def _page(words: list[str]) -> int:
     """Check all that can be checked at once, then start."""
-    from app.choices import check_mesh
-    from app.presets import find
     from app.serving import serve
 
-    about = _about()
-    options = parse(words, about)
-    scenario = None
-    if options.scenario is not None:
-        scenario = find(options.scenario)
-        options = parse(words, about, scenario.applied(Options()))
-        if options.mesh != scenario.options.mesh:
-            raise OptionError(
-                f"--mesh {options.mesh} with --scenario {options.scenario}: the scenario is made "
-                f"for the mesh {scenario.options.mesh}; leave one of the two out"
-            )
+    options, scenario = _wanted(words)
     check_mesh(options.mesh)
     return serve(options, scenario)
+
+
+def _wanted(words: list[str]) -> tuple[Options, Scenario | None]:
+    """What the words say, where they say nothing the scenario they name."""
+    about = _about()
+    options = parse(words, about)
+    if options.scenario is None:
+        return options, None
+    scenario = find(options.scenario)
+    options = parse(words, about, scenario.applied(Options()))
+    if options.mesh != scenario.options.mesh:
+        raise OptionError(
+            f"--mesh {options.mesh} with --scenario {options.scenario}: the scenario is made for "
+            f"the mesh {scenario.options.mesh}; leave one of the two out"
+        )
+    return options, scenario
 
 
 def _command(name: str, rest: list[str]) -> int:

@@ -52,7 +52,7 @@ class Number:
         try:
             number = float(value)
         except OverflowError:  # a whole number of more than 308 digits
-            number = math.inf if value > 0 else -math.inf
+            number = -math.inf if str(value).startswith("-") else math.inf
         if not self.low <= number <= self.high:
             raise OptionError(f"{name} {self.text(number)} is outside {low} to {high}")
 

@@ -119,8 +119,12 @@ _MESH: dict[str, Limit] = {"mesh": limits.File(), "unit": LIMITS["unit"], "frame
 _OUT: dict[str, Limit] = {"out": limits.File(), "overwrite": Switch()}
 CHECK: dict[str, Limit] = {**_MESH, "json": Switch(), "examine": Whole(0, 10**9)}
 REPAIR: dict[str, Limit] = {
-    **_MESH, **_OUT, "write_frame": LIMITS["frame"], "tolerance": limits.Length(0.0, 1e-2, optional=True), "flip": Switch(),
-}  # fmt: skip
+    **_MESH,
+    **_OUT,
+    "write_frame": LIMITS["frame"],
+    "tolerance": limits.Length(0.0, 1e-2, optional=True),
+    "flip": Switch(),
+}
 FROM_VOLUME: dict[str, Limit] = {
     **_OUT,
     "source": limits.File(),
@@ -318,7 +322,8 @@ def _repair(options: Repair) -> int:
     unit_text = "m" if options.out.lower().endswith(".glb") else unit
     frame_text = frame or "patient frame not known"
     console.print(
-        f"written: {escape(options.out)}, {count(triangles, 'triangle')}, in {unit_text}, {frame_text}",
+        f"written: {escape(options.out)}, {count(triangles, 'triangle')}, in {unit_text}, "
+        f"{frame_text}",
         soft_wrap=True,
     )
     return DEFECTS if changes.left else SOUND

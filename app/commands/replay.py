@@ -106,7 +106,8 @@ def summary(recording: Recording) -> list[str]:
         f"{count(len(recording.plants) - 1, 'change')} of settings",
     ]
     lines += [
-        f"  {place.options.robot} over {shown(place.options.mesh)}, {count(place.triangles, 'triangle')}"
+        f"  {place.options.robot} over {shown(place.options.mesh)}, "
+        f"{count(place.triangles, 'triangle')}"
         for place in recording.places
     ]
     if recording.cut:
