@@ -250,18 +250,18 @@ def _placed(
         if name is None:
             continue
         if key == "path" or _is_file(name):
-            if find is not None:
+            if find is not None and not Path(name).is_absolute():
                 found[key] = find(name)
                 if found[key] is None:
                     raise ScenarioError(
                         f'"{key}": {values.shown(name)} is not known here: bring it first'
                     )
                 continue
-            if folder is None:
+            if folder is None and find is None:
                 raise ScenarioError(
                     f'"{key}": {values.shown(name)}: there is no file to find this one from'
                 )
-            found[key] = _beside(key, name, folder)
+            found[key] = _beside(key, name, folder or Path())
         elif name not in MESHES and name not in FROM_PACKAGES:
             raise ScenarioError(
                 f'"{key}": unknown mesh {values.shown(name)}: choose one of '
@@ -287,7 +287,7 @@ def _beside(key: str, name: str, folder: Path) -> str:
     if not inside:
         raise ScenarioError(
             f'"{key}": {values.shown(name)}: write the path of a file in the scenario\'s own '
-            "folder or below it; a path may not lead out of it, by .. or a link"
+            "folder or below it, relative to it; it may not lead out, by .. or a link"
         )
     return os.path.normpath(folder / path)
 
