@@ -118,26 +118,31 @@ class Text:
         """See `Limit.check`."""
         if value is None and self.optional:
             return
-        if not isinstance(value, str) or not 0 < len(value) <= self.most or not self.shows(value):
+        sound = isinstance(value, str) and all(
+            c.isprintable() or unicodedata.category(c) == "Zs" for c in value
+        )
+        if not sound or not 0 < len(value) <= self.most:
             raise OptionError(
                 f"{name} must be one line of 1 to {self.most} printable characters, "
                 f"not {shown(value)}"
             )
 
-    def shows(self, text: str) -> bool:
-        """Whether a screen has something to show for every character."""
-        return all(c.isprintable() or unicodedata.category(c) == "Zs" for c in text)
-
 
 @dataclass(frozen=True)
 class File(Text):
-    """A file's path or a name: whatever a system allows, but for control characters."""
+    """A file's path or a name: whatever a system allows, line breaks too; None with `optional`."""
 
     most: int = 4096
 
-    def shows(self, text: str) -> bool:
-        """See `Text.shows`."""
-        return not any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in text)
+    def check(self, name: str, value: Any) -> None:
+        """See `Limit.check`."""
+        if value is None and self.optional:
+            return
+        if not isinstance(value, str) or not 0 < len(value) <= self.most or "\0" in value:
+            raise OptionError(
+                f"{name} must be a path of 1 to {self.most} characters without a NUL, "
+                f"not {shown(value)}"
+            )
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def outside(limit: limits.Limit) -> list[Any]:
     if isinstance(limit, OneOf):
         return ["parsec", "", limit.known[0].upper() + " ", 1, True, *none]
     if isinstance(limit, File):
-        return ["", "a\0b", "two\nlines", "x" * 5000, 3, b"x", *none]
+        return ["", "a\0b", "x" * 5000, 3, b"x", *none]
     if isinstance(limit, Text):
         return ["", "\x1b[2J", "two\nlines", "x" * (limit.most + 1), 3, *none]
     if isinstance(limit, Switch):
