@@ -1,12 +1,16 @@
-"""Ctrl-C and SIGTERM as something to wait for."""
+"""Ctrl-C and SIGTERM: as something to wait for, and as the end of a command."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+
+AGAIN = 0.05  # [s] until a signal that came at a bad moment comes again
 
 
 @contextlib.contextmanager
@@ -50,3 +54,57 @@ def interrupts() -> Iterator[Callable[[], None]]:
 
 def _nothing(number: int, frame: FrameType | None) -> None:
     """The wake-up descriptor has it."""
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: ends a command as Ctrl-C does."""
+
+
+def arm() -> None:
+    """From here on Ctrl-C and SIGTERM are a `KeyboardInterrupt` in the main thread, none is lost.
+
+    One that comes while a module is being imported waits until that is done: half a module is the
+    cause of errors that nobody understands. One that a library's callback has swallowed comes
+    again.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) not in (signal.SIG_IGN, None):
+            signal.signal(number, _stop)
+    sys.unraisablehook = _not_lost
+
+
+def disarm() -> None:
+    """The command has ended: another Ctrl-C ends what is left of the process at once."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(number) is _stop:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def exit_code(stop: KeyboardInterrupt) -> int:
+    """What a shell expects of a program that was ended like this."""
+    return 128 + (signal.SIGTERM if isinstance(stop, Terminated) else signal.SIGINT)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            _again(number)
+            return
+        frame = frame.f_back
+    raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+
+
+def _not_lost(lost: sys.UnraisableHookArgs) -> None:
+    if lost.exc_type is not None and issubclass(lost.exc_type, KeyboardInterrupt):
+        _again(signal.SIGTERM if issubclass(lost.exc_type, Terminated) else signal.SIGINT)
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _again(number: int) -> None:
+    timer = threading.Timer(AGAIN, os.kill, (os.getpid(), number))
+    timer.daemon = True
+    timer.start()

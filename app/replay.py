@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from app.recording.format import CHUNK, COMPARED, ROWS, Recording, RecordingErro
 from app.recording.rows import command as command_of
 from app.recording.rows import fill
 from app.scene import Progress, Scene
-from app.settings import Options, check_names
+from app.settings import Options
 
 
 def run_headless(
@@ -150,7 +150,6 @@ def build(
     noted = recording.places[place]
     options = noted.options
     options = replace(options, mesh=mesh or options.mesh, path=path or options.path)
-    check_names(options)
     try:
         scene = scenes.build(options, version, progress)
     except meshes.UnitNeeded:
@@ -190,10 +189,14 @@ def first_difference(
     mesh: str | None = None,
     path: str | None = None,
     progress: Progress | None = None,
+    repeated: Callable[[int], None] = lambda _rows: None,
 ) -> Difference | None:
     """Re-run a recording and compare every column of `COMPARED` bit for bit.
 
     Args and errors are those of `rerun`. None: there is no difference.
+
+    Args:
+        repeated: called with the number of rows that are the same so far.
     """
     table = np.zeros(CHUNK, dtype=ROWS)
     before = None
@@ -207,6 +210,7 @@ def first_difference(
             if found is not None:
                 return replace(found, row=start + found.row)
             start, filled = start + filled, 0
+            repeated(start)
     return None
 
 

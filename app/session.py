@@ -26,7 +26,7 @@ from app.loop import ControlLoop
 from app.mailbox import Mailbox
 from app.messages import Command, Telemetry
 from app.scene import Progress, Scene
-from app.settings import MESH, OptionError, Options, check_names, in_range
+from app.settings import MESH, OptionError, Options, in_range
 from app.tape import Tape
 from app.teleop import Teleop, latch
 from app.watch import Crossing, Watch
@@ -65,7 +65,6 @@ class Session:
             ValueError: unknown names or an unusable mesh, with the reason.
         """
         say = progress or (lambda _text: None)
-        check_names(options)
         self.options = options
         self.scene: Scene = scenes.build(options, 1, say) if scene is None else scene
         say("preparing the controller")
@@ -444,7 +443,6 @@ class Session:
                     wanted[name] = value
             wanted.update(more)
             options = replace(self.options, **wanted)
-            check_names(options)
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = aside.build(options, self.scene.version + 1, arm, progress, stop)

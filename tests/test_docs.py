@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
+import importlib
+import json
 import re
+import shlex
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
+import pictured
 import pytest
 
 import app.commands
+from app import settings
+from app.commands import bench, experiment, mesh, replay, study, verify
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -26,19 +37,98 @@ def test_the_library_page_runs_as_it_stands() -> None:
         exec(compile(block, "docs/library.md", "exec"), names)
 
 
-def test_the_readme_s_example_runs() -> None:
-    import numpy as np
+def test_the_readme_s_python_runs_as_it_stands() -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert len(blocks) == 1
+    # As a user does it: copied into a file, without anything that is not in it.
+    done = subprocess.run(
+        [sys.executable, "-c", blocks[0] + "\nprint(step.status.name, len(planes))"],
+        capture_output=True, text=True, timeout=120, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    status, planes = done.stdout.split()
+    assert status == "SOLVED"
+    assert int(planes) > 0
 
-    import robots
 
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    arm = robots.load("psm")
-    names: dict[str, object] = {
-        "x": np.array([0.0, 0.0, -0.13]), "q": arm.neutral, "target": arm.tip(arm.neutral),
-    }  # fmt: skip
-    exec(compile(block, "README.md", "exec"), names)
-    step = names["step"]
-    assert step.status.name == "SOLVED"  # type: ignore[attr-defined]
+def commands(text: str) -> list[list[str]]:
+    """The words after `vf-sandbox` of every line of a code block that calls it."""
+    shown = re.findall(r"^ {4}(.*)$", text, re.MULTILINE)
+    shown += "\n".join(re.findall(r"```(?:sh|bash|console)?\n(.*?)```", text, re.DOTALL)).split(
+        "\n"
+    )
+    shown += re.findall(r"`(vf-sandbox [^`]+)`", text)
+    found = []
+    for line in shown:
+        for part in line.split("&&"):
+            called = part.strip().startswith("vf-sandbox")
+            words = shlex.split(part, comments=True) if called else []
+            if words and words[0] == "vf-sandbox":
+                found.append(words[1:])
+    return found
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_the_commands_shown_are_understood(document: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to where they would begin to work: options, choices, units and ranges are right."""
+
+    class Understood(Exception):
+        pass
+
+    def understood(kind: type, *arguments: Any, **keywords: Any) -> None:
+        settings.parse_as(kind, *arguments, **keywords)
+        raise Understood
+
+    for module in (bench, experiment, mesh, replay, study, verify):
+        monkeypatch.setattr(module, "parse_as", understood)
+    for words in commands(document.read_text("utf-8")):
+        if "--help" in words or "--version" in words or "…" in words or len(words) == 1:
+            continue
+        name, rest = (words[0], words[1:]) if words and words[0] in COMMANDS else (None, words)
+        try:
+            if name is None:
+                understood(settings.Options, "vf-sandbox", rest, "")
+            else:
+                importlib.import_module(f"app.commands.{name}").main(rest)
+        except Understood:
+            continue
+        pytest.fail(f"not understood: vf-sandbox {' '.join(words)}")
+
+
+def test_the_readme_names_the_extras() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    readme = (ROOT / "README.md").read_text()
+    for extra in project["project"]["optional-dependencies"]:
+        assert f"`{extra}`" in readme, extra
+    assert "git clone" in readme
+    assert "synthetic" in readme
+
+
+def test_the_pictures_are_of_todays_page() -> None:
+    folder = ROOT / "docs"
+    record = json.loads((folder / pictured.RECORD).read_text("utf-8"))
+    changed = [
+        line
+        for line in difflib.ndiff(record["page"], pictured.parts_of_the_page())
+        if line[0] in "+-"
+    ]
+    assert not changed, (
+        "the page is not that of the pictures in docs/: take them again with\n"
+        f"    {pictured.COMMAND}\n" + "\n".join(changed)
+    )
+    assert pictured.digests(folder, list(record["pictures"])) == record["pictures"], (
+        f"a picture was taken without the others: {pictured.COMMAND}"
+    )
+    shown = {
+        target
+        for document in DOCUMENTS
+        for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+\.png)\)", document.read_text("utf-8"))
+    }
+    of_the_page = {Path(target).name for target in shown} - {
+        "performance.png",
+        "certified-blocked.png",
+    }
+    assert of_the_page <= {f"{name}.png" for name in record["pictures"]}
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=named)

@@ -13,6 +13,8 @@ from vf.reasons import Across, Cover, Explanation, TriangleReport, Verdict, expl
 from vf.selftest import check_kernels
 from vf.surface import Contacts, Edge, Surface
 
+__version__ = "0.1.0"
+
 __all__ = [
     "RULES",
     "Across",

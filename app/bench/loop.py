@@ -6,7 +6,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 import meshes
 from app.bench import report
 from app.bench.machine import machine, percentiles, resident
 from app.bench.settings import Loop
 from app.bench.watcher import NoBrowser, Watcher
+from app.console import Column, show_table
 from app.loop import prefer_this_process
 from app.session import Refused, Session
 from app.settings import Options
@@ -96,11 +96,12 @@ def run(
                 seen = "a headless Chromium looks on (software rendering, on the same cores)"
             except NoBrowser as reason:
                 seen = f"no browser: {reason}"
-        rows = []
-        for k, phase in enumerate(options.phases):
-            say(f"{phase}, {options.seconds:g} s")
-            rows.append(_phase(phase, options, session, tap, browser))
-            advance((k + 1) / len(options.phases))
+        rows: list[dict[str, Any]] = []
+        with suppress(KeyboardInterrupt):
+            for k, phase in enumerate(options.phases):
+                say(f"{phase}, {options.seconds:g} s")
+                rows.append(_phase(phase, options, session, tap, browser))
+                advance((k + 1) / len(options.phases))
     return {
         "what": "vf-sandbox bench loop",
         "machine": about,
@@ -109,6 +110,7 @@ def run(
         "browser": seen,
         "start": {"first tick [s]": first_tick, "page [s]": ready},
         "phases": rows,
+        "interrupted": len(rows) < len(options.phases),
     }
 
 
@@ -203,16 +205,15 @@ def tell(result: dict[str, Any], console: Console) -> None:
         f"from the start of the session to the first tick {start['first tick [s]']:.1f} s, "
         f"to the page {start['page [s]']:.1f} s"
     )
-    table = Table(title="Control thread, by phase")
-    for name in (
-        "phase", "ticks", "rate [Hz]", "late p50 [µs]", "p99", "p99.9", "< 1 ms late",
-        "longest stall [ms]", "overruns", "tick p50 [µs]", "p99", "CPU", "no core",
+    names = (
+        "phase", "ticks", "rate [Hz]", "late p50 [µs]", "late p99", "late p99.9", "< 1 ms late",
+        "longest stall [ms]", "overruns", "tick p50 [µs]", "tick p99", "CPU", "no core",
         "memory [MB]", "frames/s",
-    ):  # fmt: skip
-        table.add_column(name, justify="left" if name == "phase" else "right")
+    )  # fmt: skip
+    rows = []
     for row in result["phases"]:
         late, tick, memory = row["late [us]"], row["tick [us]"], row["memory [MB]"]
-        table.add_row(
+        cells = (
             row["phase"],
             f"{row['ticks']:,}",
             f"{row['rate [Hz]']:.1f}",
@@ -227,7 +228,13 @@ def tell(result: dict[str, Any], console: Console) -> None:
             f"{memory['start']:.0f} → {memory['end']:.0f}" if memory["start"] else "–",
             f"{row['frames/s']:.1f}" if row["frames/s"] is not None else "–",
         )
-    console.print(table)
+        rows.append(cells)
+    show_table(
+        console,
+        [Column(name, left=name == "phase") for name in names],
+        rows,
+        title="Control thread, by phase",
+    )
 
 
 def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None:

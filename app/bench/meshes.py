@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -11,13 +12,13 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 import meshes
 import vf
 from app.bench import report
 from app.bench.machine import machine, resident
 from app.bench.settings import Meshes
+from app.console import Column, count, show_table
 from meshes.damage import damage
 
 FLIPPED = 0.02  # share of the faces turned over before the repair
@@ -49,13 +50,16 @@ def run(
         meshes.repair(*small)
         vf.MeshFixture(vf.Surface.from_arrays(*small)).inside(np.zeros(3))
         seconds: dict[str, list[float]] = {name: [] for name in tasks}
-        for k in range(options.passes):
-            for i, (name, task) in enumerate(tasks.items()):
-                say(name)
-                began = perf_counter()
-                task()
-                seconds[name].append(perf_counter() - began)
-                advance((k * len(tasks) + i + 1) / (options.passes * len(tasks)))
+        whole = False
+        with suppress(KeyboardInterrupt):
+            for k in range(options.passes):
+                for i, (name, task) in enumerate(tasks.items()):
+                    say(name)
+                    began = perf_counter()
+                    task()
+                    seconds[name].append(perf_counter() - began)
+                    advance((k * len(tasks) + i + 1) / (options.passes * len(tasks)))
+            whole = True
     changes = meshes.repair(vertices, flipped).changes
     return {
         "what": "From a file to a guarded mesh",
@@ -63,7 +67,8 @@ def run(
         "source": f"{options.mesh}, {len(faces):,} triangles",
         "flipped": int(turned.sum()),
         "turned back": changes.flipped,
-        "seconds": {name: min(times) for name, times in seconds.items()},
+        "seconds": {name: min(times) for name, times in seconds.items() if times},
+        "interrupted": not whole,
         "resident [MB]": resident(),
     }
 
@@ -71,13 +76,13 @@ def run(
 def tell(result: dict[str, Any], console: Console) -> None:
     """The table of `run`."""
     report.header(result, console)
-    table = Table()
-    table.add_column("step")
-    table.add_column("s", justify="right")
-    for name, seconds in result["seconds"].items():
-        table.add_row(name, f"{seconds:.2f}")
-    console.print(table)
-    console.print(f"{result['turned back']:,} of {result['flipped']:,} flipped faces turned back")
+    show_table(
+        console,
+        [Column("step", left=True), Column("s")],
+        [(name, f"{seconds:.2f}") for name, seconds in result["seconds"].items()],
+    )
+    flipped = count(result["flipped"], "flipped face")
+    console.print(f"{result['turned back']:,} of {flipped} turned back")
 
 
 def _fixture(path: Path) -> vf.MeshFixture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from time import perf_counter
@@ -92,17 +93,19 @@ def run(
                 len(problems),
             )
         )
-    tasks = []
-    for done, (what, peers, check, count) in enumerate(jobs):
-        say(what)
-        tasks.append({"what": what, "entries": compare(peers, check, count, options.rounds)})
-        advance((done + 1) / len(jobs))
+    tasks: list[dict[str, Any]] = []
+    with suppress(KeyboardInterrupt):
+        for done, (what, peers, check, count) in enumerate(jobs):
+            say(what)
+            tasks.append({"what": what, "entries": compare(peers, check, count, options.rounds)})
+            advance((done + 1) / len(jobs))
     return {
         "what": "vf-sandbox bench peers",
         "source": shape.name,
         "machine": about,
         "options": {**asdict(options), "out": str(options.out)},
         "tasks": tasks,
+        "interrupted": len(tasks) < len(jobs),
         "missing": missing,
     }
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.markup import escape
 
+from app.console import Column, show_table
 from app.settings import format_length
 
 
@@ -36,48 +37,54 @@ def runtime(result: dict[str, Any], console: Console) -> None:
         )
     rows = result["rows"]
     parts = [name for name in rows[0]["parts [us]"] if name != "rest"]
-    table = Table(
+    names = ("rule", "r", "triangles", "in ball", "planes", "kHz", "p1", "median", "p99")
+    cells = []
+    for row in rows:
+        tick, split = row["tick [us]"], row["parts [us]"]
+        listed = f"{row['stages [us]']['list of the ball']:.0f}" if row["rule"] == "paper" else "–"
+        cells.append(
+            (
+                row["rule"],
+                format_length(row["radius [m]"]),
+                f"{row['triangles']:,}",
+                f"{row['in the ball']:,.0f}",
+                f"{row['planes']['mean']:,.1f}",
+                f"{row['rate [kHz]']:.2f}",
+                *(f"{tick[key]:.0f}" for key in ("p1", "median", "p99")),
+                *(f"{split[name]:.1f}" for name in parts),
+                f"{split['rest']:.1f}",
+                listed,
+            )
+        )
+    show_table(
+        console,
+        [Column(name, left=name == "rule") for name in (*names, *parts, "rest", "list")],
+        cells,
+        labels=3,
         title="One tick of the PSM, medians in µs. The planes column of the certified rule is one "
         "tree walk that finds and chooses them; 'list' is the sphere query that the paper's rule "
         "starts with, timed on its own and part of its planes column.",
     )
-    for name in ("rule", "r", "triangles", "in ball", "planes", "kHz", "p1", "median", "p99"):
-        table.add_column(name, justify="left" if name == "rule" else "right")
-    for name in (*parts, "rest", "list"):
-        table.add_column(name, justify="right")
-    before = None
+    states = []
     for row in rows:
-        if before not in (None, (row["rule"], row["radius [m]"])):
-            table.add_section()
-        before = (row["rule"], row["radius [m]"])
-        tick, split = row["tick [us]"], row["parts [us]"]
-        listed = f"{row['stages [us]']['list of the ball']:.0f}" if row["rule"] == "paper" else "–"
-        table.add_row(
-            row["rule"],
-            format_length(row["radius [m]"]),
-            f"{row['triangles']:,}",
-            f"{row['in the ball']:,.0f}",
-            f"{row['planes']['mean']:,.1f}",
-            f"{row['rate [kHz]']:.2f}",
-            *(f"{tick[key]:.0f}" for key in ("p1", "median", "p99")),
-            *(f"{split[name]:.1f}" for name in parts),
-            f"{split['rest']:.1f}",
-            listed,
-        )
-    console.print(table)
-    states = Table(title="The same by contact state: share of the ticks, median in µs")
-    for name in ("rule", "r", "triangles", *rows[0]["states"]):
-        states.add_column(name, justify="left" if name == "rule" else "right")
-    for row in rows:
-        cells = [
+        shares = (
             f"{100 * state['share']:.0f} %"
             + (f" {state['tick [us]']:.0f}" if state["tick [us]"] is not None else "")
             for state in row["states"].values()
-        ]
-        states.add_row(
-            row["rule"], format_length(row["radius [m]"]), f"{row['triangles']:,}", *cells
         )
-    console.print(states)
+        states.append(
+            (row["rule"], format_length(row["radius [m]"]), f"{row['triangles']:,}", *shares)
+        )
+    show_table(
+        console,
+        [
+            Column(name, left=name == "rule")
+            for name in ("rule", "r", "triangles", *rows[0]["states"])
+        ],
+        states,
+        labels=3,
+        title="The same by contact state: share of the ticks, median in µs",
+    )
     for ratio in result["ratios"]:
         bare = ratio.get("without inside test")
         console.print(
@@ -90,22 +97,31 @@ def peers(result: dict[str, Any], console: Console) -> None:
     """Tables of `bench peers`."""
     header(result, console)
     for task in result["tasks"]:
-        table = Table(title=task["what"], title_justify="left")
-        for name, justify in (
-            ("library", "left"), ("median [µs]", "right"), ("p99 [µs]", "right"),
-            ("× ours", "right"), ("answers", "left"), ("note", "left"),
-        ):  # fmt: skip
-            table.add_column(name, justify=justify)  # type: ignore[arg-type]
+        rows = []
         for entry in task["entries"]:
             good = entry["agrees"]
-            table.add_row(
-                entry["name"],
-                *(f"{entry['us'][k]:.1f}" if good else "–" for k in ("median", "p99")),
-                f"{entry['ratio']:.2f}" if good else "–",
-                entry["check"] if good else f"[red]wrong: {entry['check']}[/]",
-                entry["note"],
+            rows.append(
+                (
+                    escape(entry["name"]),
+                    *(f"{entry['us'][k]:.1f}" if good else "–" for k in ("median", "p99")),
+                    f"{entry['ratio']:.2f}" if good else "–",
+                    escape(entry["check"]) if good else f"[red]wrong: {escape(entry['check'])}[/]",
+                    escape(entry["note"]),
+                )
             )
-        console.print(table)
+        show_table(
+            console,
+            [
+                Column("library", left=True),
+                Column("median [µs]"),
+                Column("p99 [µs]"),
+                Column("× ours"),
+                Column("answers", left=True),
+                Column("note", left=True),
+            ],
+            rows,
+            title=task["what"],
+        )
     for name, why in result["missing"].items():
         console.print(f"not compared: {name} ({why})")
 

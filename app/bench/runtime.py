@@ -56,6 +56,15 @@ class Cell:
     radii: list[float] = field(default_factory=list)
     tips: list[FloatArray] = field(default_factory=list)
 
+    def even(self) -> None:
+        """Drop what there is of a tick that an interrupt came into."""
+        columns: tuple[list[Any], ...] = (
+            self.total, self.parts, self.planes, self.states, self.radii, self.tips,
+        )  # fmt: skip
+        ticks = min(map(len, columns))
+        for column in columns:
+            del column[ticks:]
+
 
 def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[str, Any]:
     """Measure all rows.
@@ -107,15 +116,23 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     for cell in cells:
         cell.spots = _affordable(cell, course, options)
     done = 0
-    for number in range(options.passes):
-        say(f"pass {number + 1} of {options.passes}")
-        for spot in range(len(course.starts)):
-            # All rows at one spot, every other time backwards: a change of load meets all alike.
-            for cell in cells[:: 1 if spot % 2 == 0 else -1]:
-                if spot < cell.spots:
-                    drive(cell, course, spot)
-            done += 1
-            advance(done / (len(course.starts) * options.passes))
+    whole = True
+    try:
+        for number in range(options.passes):
+            say(f"pass {number + 1} of {options.passes}")
+            for spot in range(len(course.starts)):
+                # All rows at one spot, every other time backwards: a change of load meets all.
+                for cell in cells[:: 1 if spot % 2 == 0 else -1]:
+                    if spot < cell.spots:
+                        drive(cell, course, spot)
+                done += 1
+                advance(done / (len(course.starts) * options.passes))
+    except KeyboardInterrupt:
+        if done == 0:
+            raise  # not every row has something to say yet
+        whole = False
+        for cell in cells:
+            cell.even()
     say("timing single stages")
     rows = [summary(cell) for cell in cells]
     return {
@@ -133,6 +150,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         "builds": builds,
         "rows": rows,
         "ratios": ratios(rows),
+        "interrupted": not whole,
     }  # fmt: skip
 
 

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.settings import OptionError, Radius
+from app.settings import LIMITS, RANGES, OptionError, Radii, Radius, Rule, Unit
 
 # Repeated in `meshes.ladder`, which is slow to import for a command line that only asks for help.
 SIZES = (51_978, 103_956, 207_912, 415_824, 989_376)
 RADII: tuple[float | None, ...] = (5e-3, 2e-3, 1e-3, 5e-4, None)
 OUT = Path("artifacts/bench")
+MOST = {
+    "ticks": 1e7, "passes": 1000, "budget": 3600.0, "radius": RANGES["radius"][1], "queries": 1e6,
+    "rounds": 1000, "seconds": 86_400.0, "rate": RANGES["rate"][1], "drags": 100_000,
+    "minutes": 10_080.0, "reconnect": 86_400.0,
+}  # fmt: skip
 
 
 def _positive(**values: float) -> None:
     for name, value in values.items():
-        if not value > 0:
-            raise OptionError(f"{name} must be positive, not {value}")
+        if not 0 < value <= MOST.get(name, math.inf):
+            most = f" and at most {MOST[name]:g}" if name in MOST else ""
+            raise OptionError(f"{name} must be positive{most}, not {value:g}")
 
 
 @dataclass(frozen=True)
@@ -25,11 +32,11 @@ class Runtime:
 
     mesh: str | None = None
     """File or catalogue name of the shape; default: an installed bunny, else a built-in shape."""
-    unit: str | None = None
+    unit: Unit = None
     """Unit of the mesh file. The shape is brought to the bunny's size in any case."""
     rules: tuple[str, ...] = ("certified", "paper")
     """Rules to measure."""
-    radii: tuple[Radius, ...] = RADII
+    radii: Radii = RADII
     """Radii of the motion sphere: 5mm is the authors' setting, auto the largest step of a tick."""
     sizes: tuple[int, ...] = SIZES
     """Triangles of the rungs. The largest is made first, the others are decimated from it."""
@@ -49,6 +56,8 @@ class Runtime:
         for radius in self.radii:
             if radius is not None:
                 _positive(radius=radius)
+        for rule in self.rules:
+            LIMITS["rule"].check("rule", rule)
         for size in self.sizes:
             if size < 128:
                 raise OptionError(f"a rung has at least 128 triangles, not {size}")
@@ -60,11 +69,11 @@ class Peers:
 
     mesh: str | None = None
     """File or catalogue name of the shape; default: an installed bunny, else a built-in shape."""
-    unit: str | None = None
+    unit: Unit = None
     """Unit of the mesh file. The shape is brought to the bunny's size in any case."""
     size: int = SIZES[-1]
     """Triangles of the mesh."""
-    radii: tuple[Radius, ...] = (5e-3, 2e-3, 1e-3, 5e-4)
+    radii: Radii = (5e-3, 2e-3, 1e-3, 5e-4)
     """Radii of the sphere queries."""
     queries: int = 400
     """Points asked about, on and above the surface as a tool meets them."""
@@ -93,7 +102,7 @@ class Loop:
 
     mesh: str | None = None
     """File or catalogue name; default: the largest rung of the ladder (989,376 triangles)."""
-    unit: str | None = None
+    unit: Unit = None
     """Unit of the mesh file."""
     seconds: float = 60.0
     """Length of each phase."""
@@ -101,7 +110,7 @@ class Loop:
     """Which phases, in this order."""
     rate: float = 1000.0
     """Ticks per second."""
-    rule: str = "certified"
+    rule: Rule = "certified"
     """Rule of the fixture."""
     radius: Radius = 5e-3
     """Radius of the motion sphere."""
@@ -112,6 +121,7 @@ class Loop:
 
     def __post_init__(self) -> None:
         _positive(seconds=self.seconds, rate=self.rate)
+        LIMITS["rule"].check("rule", self.rule)
         known = ("idle", "dragging", "loading", "examining", "joining")
         for phase in self.phases:
             if phase not in known:
@@ -143,7 +153,7 @@ class Meshes:
 
     mesh: str = "skull-fine"
     """Catalogue name or file of the mesh; skull-fine has about a million triangles."""
-    unit: str | None = None
+    unit: Unit = None
     """Unit of the mesh file."""
     formats: tuple[str, ...] = ("stl", "ply")
     """Formats to read the mesh from."""

@@ -55,13 +55,19 @@ def run(
         first, began = tap.count, time.perf_counter()
         visits, samples = 1, []
         sample = max(seconds / SAMPLES, 1.0)
-        while (gone := time.perf_counter() - began) < seconds:
-            if gone > visits * options.reconnect:
-                browser.tell("again")
-                visits += 1
-            time.sleep(sample)
-            samples.append(_sample(time.perf_counter() - began, page))
-            advance(gone / seconds)
+        whole = False
+        try:
+            while (gone := time.perf_counter() - began) < seconds:
+                if gone > visits * options.reconnect:
+                    browser.tell("again")
+                    visits += 1
+                time.sleep(sample)
+                samples.append(_sample(time.perf_counter() - began, page))
+                advance(gone / seconds)
+            whole = True
+        except KeyboardInterrupt:
+            if not samples:
+                raise
         ticks = summary(tap.since(first), time.perf_counter() - began, options.rate)
     return {
         "what": "vf-sandbox bench soak",
@@ -72,6 +78,7 @@ def run(
         "samples": samples,
         "growth": growth([s["memory [MB]"] for s in samples]),
         "complaints": complaints(samples),
+        "interrupted": not whole,
     }
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
 from app.bench.settings import Loop, Meshes, Peers, Runtime, Soak, View
 from app.bench.watcher import NoBrowser
+from app.commands import answer, interrupted, one_of
+from app.console import console as new_console
+from app.console import progress
 from app.settings import OptionError, parse_as
 
 _KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes | Soak]] = {
@@ -28,76 +31,88 @@ _MODULES: dict[type, str] = {
     Meshes: "app.bench.meshes",
     Soak: "app.bench.soak",
 }
-USAGE_ERROR = 2
+PROGRAM = "vf-sandbox bench"
 WRONG_ANSWER = 1
 GREW = 1
 
 
 def main(arguments: list[str]) -> int:
     """Run one of the measurements; returns the exit code."""
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"usage: vf-sandbox bench {{{','.join(_KINDS)}}} [options]\n")
-        for name, kind in _KINDS.items():
-            print(f"  {name:8} {(kind.__doc__ or '').strip().splitlines()[0]}")
-        return 0 if arguments else USAGE_ERROR
-    name, *words = arguments
-    if name not in _KINDS:
-        return _complain(f"unknown measurement '{name}': choose from {', '.join(_KINDS)}")
+    return answer(PROGRAM, lambda: _measure(arguments))
+
+
+def _measure(arguments: list[str]) -> int:
+    name, words = one_of(PROGRAM, _KINDS, arguments)
+    kind = _KINDS[name]
+    options = parse_as(kind, f"{PROGRAM} {name}", words, kind.__doc__ or "")
+    options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
     try:
-        kind = _KINDS[name]
-        options = parse_as(kind, f"vf-sandbox bench {name}", words, kind.__doc__ or "")
-        options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
         if isinstance(options, Runtime):
-            return _runtime(options)
-        if isinstance(options, Peers):
-            return _peers(options)
-        result = _told(options, name, import_module(_MODULES[type(options)]))
-        return GREW if result.get("complaints") else 0
-    except (OptionError, ValueError, OSError, NoBrowser) as error:
-        return _complain(str(error))
+            result = _runtime(options)
+        elif isinstance(options, Peers):
+            result = _peers(options)
+        else:
+            result = _told(options, name, import_module(_MODULES[type(options)]))
+    except NoBrowser as error:
+        raise OptionError(str(error)) from None
+    except ImportError as error:
+        raise OptionError(f"{error}: pip install 'vf-sandbox[bench]'") from None
+    if result.get("interrupted"):
+        # Nothing is written: an earlier whole result is worth more than a part.
+        return interrupted(f"{PROGRAM} {name}", "this is what there was so far, it is not written")
+    if isinstance(options, Peers):
+        # A peer may be wrong, and says so in its row; ours may not.
+        ours = [entry for task in result["tasks"] for entry in task["entries"] if entry["ours"]]
+        return 0 if all(entry["agrees"] for entry in ours) else WRONG_ANSWER
+    return GREW if result.get("complaints") else 0
 
 
-def _runtime(options: Runtime) -> int:
+def _runtime(options: Runtime) -> dict[str, Any]:
     from app.bench import report, runtime
-    from app.bench.machine import write
 
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    console = new_console()
     result = _shown(console, lambda say, advance: runtime.run(options, say, advance))
     result["options"] = runtime.options_of(options)
     report.runtime(result, console)
-    console.print(f"written: {write(options.out, 'runtime', result)}")
-    picture = options.out / "runtime.png"
-    try:
-        report.figure(result, picture)
-    except ImportError:
-        console.print("no figure: matplotlib is not installed (pip install 'vf-sandbox[bench]')")
-    else:
-        console.print(f"written: {picture}")
-    return 0
+    _write(options.out, "runtime", result, console)
+    if not result.get("interrupted"):
+        picture = options.out / "runtime.png"
+        try:
+            report.figure(result, picture)
+        except ImportError:
+            console.print(
+                "no figure: matplotlib is not installed (pip install 'vf-sandbox[bench]')",
+                markup=False,
+            )
+        else:
+            console.print(f"written: {picture}", markup=False)
+    return result
 
 
-def _peers(options: Peers) -> int:
+def _peers(options: Peers) -> dict[str, Any]:
     from app.bench import peers, report
-    from app.bench.machine import write
 
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    console = new_console()
     result = _shown(console, lambda say, advance: peers.run(options, say, advance))
     report.peers(result, console)
-    console.print(f"written: {write(options.out, 'peers', result)}")
-    # A peer may be wrong, and says so in its row; ours may not.
-    ours = [entry for task in result["tasks"] for entry in task["entries"] if entry["ours"]]
-    return 0 if all(entry["agrees"] for entry in ours) else WRONG_ANSWER
+    _write(options.out, "peers", result, console)
+    return result
 
 
 def _told(options: Loop | View | Meshes | Soak, name: str, module: Any) -> dict[str, Any]:
     """Measure, tell and write what a module with `run` and `tell` has to say."""
-    from app.bench.machine import write
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 130)
+    console = new_console()
     result = _shown(console, lambda say, advance: module.run(options, say, advance))
     module.tell(result, console)
-    console.print(f"written: {write(options.out, name, result)}")
+    _write(options.out, name, result, console)
     return result
+
+
+def _write(out: Path, name: str, result: dict[str, Any], console: Console) -> None:
+    from app.bench.machine import write
+
+    if not result.get("interrupted"):
+        console.print(f"written: {write(out, name, result)}", markup=False)
 
 
 def _shown(
@@ -105,24 +120,17 @@ def _shown(
     work: Callable[[Callable[[str], None], Callable[[float], None]], dict[str, Any]],
 ) -> dict[str, Any]:
     """Do the work under a progress bar."""
-    with Progress(
+    with progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        refresh_per_second=2,  # drawing takes the interpreter from what is being measured
-    ) as progress:
-        bar = progress.add_task("starting", total=1.0)
+        refresh=2,  # drawing takes the interpreter from what is being measured
+    ) as shown:
+        bar = shown.add_task("starting", total=1.0)
 
         def say(text: str) -> None:
-            progress.update(bar, description=text)
+            shown.update(bar, description=text)
             if not console.is_terminal:
-                console.print(f"  {text} …")
+                console.print(f"  {text} …", markup=False)
 
-        return work(say, lambda share: progress.update(bar, completed=share))
-
-
-def _complain(message: str) -> int:
-    print(f"vf-sandbox bench: error: {message}", file=sys.stderr)
-    return USAGE_ERROR
+        return work(say, lambda share: shown.update(bar, completed=share))

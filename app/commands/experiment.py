@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
+from app import choices, limits
+from app.commands import answer, interrupted, one_of
+from app.console import Column, count, progress, show_table
+from app.console import console as new_console
+from app.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
 from app.interrupts import interrupts
-from app.settings import Length, OptionError, parse_as
+from app.limits import Limit, OneOf, Whole
+from app.settings import LIMITS, Length, OptionError, named, parse_as
 
 if TYPE_CHECKING:
     from app.experiments.protocol import Outcome, Trial
 
-USAGE_ERROR, BROKEN = 2, 1
+PROGRAM = "vf-sandbox experiment"
+BROKEN = 1
 ENOUGH = 0.95  # of the seeds must find the fixture significantly better
+GUARDS = RULES[1:]
+
+Skull = Annotated[str, named(choices.SKULLS)]
 
 
 @dataclass(frozen=True)
@@ -34,10 +43,10 @@ class Experiment:
     """Of everything random."""
     out: Path = Path("results")
     """Where CSV files and the report go."""
-    mesh: str = "skull"
-    """skull, skull-coarse or skull-fine."""
-    rule: str = "certified"
-    """What guards the inner surface in fixture mode: certified or paper."""
+    mesh: Skull = "skull"
+    """Which of the built-in skulls."""
+    rule: Annotated[str, named(GUARDS)] = "certified"
+    """What guards the inner surface in fixture mode."""
     noise: Length = 0.35e-3
     """Fiducial localisation error, root mean square in 3D."""
     width: Length = 1e-3
@@ -48,10 +57,7 @@ class Experiment:
     """How much of the planned cut is done."""
 
     def __post_init__(self) -> None:
-        if self.trials is not None and self.trials < 1:
-            raise OptionError(f"trials must be one or more, got {self.trials}")
-        if self.rule not in ("certified", "paper"):
-            raise OptionError(f"unknown rule '{self.rule}': choose one of certified, paper")
+        limits.check(self, COMPARED)
 
 
 @dataclass(frozen=True)
@@ -78,8 +84,7 @@ class Power:
     """Where the trials are kept; the same command goes on where it stopped."""
 
     def __post_init__(self) -> None:
-        if self.seeds < 1 or self.workers < 0:
-            raise OptionError("seeds must be one or more, workers zero or more")
+        limits.check(self, POWER)
 
 
 @dataclass(frozen=True)
@@ -92,18 +97,17 @@ class Calibrate:
     """Of everything random."""
 
     def __post_init__(self) -> None:
-        if self.trials < 2 or self.seed < 0:
-            raise OptionError("trials must be two or more, seed zero or more")
+        limits.check(self, CALIBRATE)
 
 
 @dataclass(frozen=True)
 class Replay:
     """Do one trial again and open it in the page, where it is played in real time."""
 
-    experiment: str = "cutting"
-    """tracing or cutting."""
-    rule: str = "certified"
-    """off, certified or paper."""
+    experiment: Annotated[str, named(EXPERIMENTS)] = "cutting"
+    """Which of the two."""
+    rule: Annotated[str, named(RULES)] = "certified"
+    """What guards the inner surface; off is plain teleoperation."""
     number: int = 0
     """Which trial of the experiment, from 0."""
     seed: int = 0
@@ -119,6 +123,25 @@ class Replay:
     port: int = 8080
     """Port of the page; 0 takes any free one."""
 
+    def __post_init__(self) -> None:
+        limits.check(self, REPLAY)
+
+
+COMPARED: dict[str, Limit] = {
+    **{name: TRIAL[name] for name in ("seed", "mesh", "noise", "width", "rate", "length")},
+    "trials": Whole(1, 10_000, optional=True),
+    "out": limits.Path(),
+    "rule": OneOf("rule", GUARDS),
+}
+POWER: dict[str, Limit] = {
+    "seeds": Whole(1, 100_000), "rate": TRIAL["rate"], "workers": WORKERS, "out": limits.Path(),
+}  # fmt: skip
+CALIBRATE: dict[str, Limit] = {"trials": Whole(2, 10_000), "seed": TRIAL["seed"]}
+REPLAY: dict[str, Limit] = {
+    **{name: TRIAL[name] for name in ("experiment", "rule", "number", "seed", "rate", "length")},
+    **{name: LIMITS[name] for name in ("host", "port")},
+    "trial": limits.Path(optional=True),
+}
 
 _KINDS: dict[str, type] = {
     "tracing": Tracing,
@@ -131,18 +154,15 @@ _KINDS: dict[str, type] = {
 
 def main(arguments: list[str]) -> int:
     """Run one of the kinds of `experiment`; returns the exit code."""
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"usage: vf-sandbox experiment {{{','.join(_KINDS)}}} [options]\n")
-        for name, kind in _KINDS.items():
-            print(f"  {name:10} {(kind.__doc__ or '').strip().splitlines()[0]}")
-        return 0 if arguments else USAGE_ERROR
-    name, *words = arguments
-    if name not in _KINDS:
-        return _complain(f"unknown experiment '{name}': choose from {', '.join(_KINDS)}")
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
+    return answer(PROGRAM, lambda: _run(arguments))
+
+
+def _run(arguments: list[str]) -> int:
+    name, words = one_of(PROGRAM, _KINDS, arguments)
+    kind = _KINDS[name]
+    options: Any = parse_as(kind, f"{PROGRAM} {name}", words, kind.__doc__ or "")
+    console = new_console()
     try:
-        kind = _KINDS[name]
-        options: Any = parse_as(kind, f"vf-sandbox experiment {name}", words, kind.__doc__ or "")
         if isinstance(options, Power):
             return _power(options, console)
         if isinstance(options, Calibrate):
@@ -151,9 +171,7 @@ def main(arguments: list[str]) -> int:
             return _replay(options, console)
         return _compare(name, options, console)
     except ImportError as error:
-        return _complain(f"{error}: pip install 'vf-sandbox[experiments,study]'")
-    except (ValueError, OSError) as error:
-        return _complain(str(error))
+        raise OptionError(f"{error}: pip install 'vf-sandbox[experiments,study]'") from None
 
 
 def _compare(experiment: str, options: Experiment, console: Console) -> int:
@@ -168,24 +186,30 @@ def _compare(experiment: str, options: Experiment, console: Console) -> int:
         for number in range(options.trials or usual)
         for rule in ("off", options.rule)
     ]  # fmt: skip
-    outcomes = _shown(trials, console)
+    outcomes = _shown(trials)
+    whole = len(outcomes) == len(trials)
+    outcomes = outcomes[: len(outcomes) // 2 * 2]  # each with the fixture has its one without
+    if not outcomes:
+        return interrupted(f"{PROGRAM} {experiment}", "before a trial was done in both modes")
     report.show(outcomes, console)
     written = report.write(outcomes, options.out)
     for path in written:
         console.print(f"written: {escape(str(path))}")
     if not any(path.suffix == ".html" for path in written):
         console.print("no report: matplotlib is missing (pip install 'vf-sandbox[experiments]')")
+    if not whole:
+        so_far = f"this is of {count(len(outcomes), 'trial')} of {len(trials)}"
+        return interrupted(f"{PROGRAM} {experiment}", so_far)
     return BROKEN if analysis.violations(outcomes) else 0
 
 
-def _shown(trials: list[Trial], console: Console) -> list[Outcome]:
-    """Do trials one after the other under a progress bar."""
+def _shown(trials: list[Trial]) -> list[Outcome]:
+    """Do trials one after the other under a progress bar; fewer if it was interrupted."""
     from app.experiments import protocol
 
-    outcomes = []
-    with Progress(
+    outcomes: list[Outcome] = []
+    with contextlib.suppress(KeyboardInterrupt), progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        console=console, transient=True,
     ) as bar:  # fmt: skip
         task = bar.add_task("preparing", total=len(trials))
         for trial in trials:
@@ -205,28 +229,34 @@ def _power(options: Power, console: Console) -> int:
         for number in range(published.CUTTING_TRIALS)
         for rule in ("off", "certified")
     ]
-    outcomes, elapsed = collect(trials, options.out / "trials", options.workers, None, console)
+    found = collect(trials, options.out / "trials", options.workers, None)
+    each = len(trials) // options.seeds
+    by_seed: dict[int, list[Outcome]] = {}
+    for outcome in found.outcomes:
+        by_seed.setdefault(outcome.trial.seed, []).append(outcome)
+    whole = [mine for mine in by_seed.values() if len(mine) == each]
     better = {published.DEVIATION.name: 0, published.PENETRATION.name: 0}
     both = 0
-    for seed in range(options.seeds):
-        mine = [o for o in outcomes if o.trial.seed == seed]
-        found = {line.name: line.comparison for line in analysis.cutting(mine)}
+    for mine in whole:
+        lines = {line.name: line.comparison for line in analysis.cutting(mine)}
         hits = [
             c is not None and c.significant and c.difference < 0.0
-            for c in (found[name] for name in better)
+            for c in (lines[name] for name in better)
         ]
         for name, hit in zip(better, hits, strict=True):
             better[name] += hit
         both += all(hits)
-    table = Table(title=f"{options.seeds} experiments of 2 + 2 skulls, {elapsed:.0f} s")
-    for column in ("fixture significantly better in", "experiments"):
-        table.add_column(column)
-    for name, count in (*better.items(), ("both", both)):
-        table.add_row(name, f"{count} of {options.seeds}")
-    console.print(table)
-    broken = analysis.violations(outcomes)
-    ticks = sum(o.ticks for o in outcomes if o.trial.assisted)
-    console.print(f"{broken} violations in {ticks:,} assisted ticks")
+    show_table(
+        console,
+        [Column("fixture significantly better in", left=True), Column("experiments")],
+        [(name, f"{hits} of {len(whole)}") for name, hits in (*better.items(), ("both", both))],
+        title=f"{count(len(whole), 'experiment')} of 2 + 2 skulls, {found.elapsed:.0f} s",
+    )
+    broken = analysis.violations(found.outcomes)
+    ticks = sum(o.ticks for o in found.outcomes if o.trial.assisted)
+    console.print(f"{count(broken, 'violation')} in {count(ticks, 'assisted tick')}")
+    if found.stopped is not None:
+        return found.end(f"{PROGRAM} power")
     return BROKEN if broken or both < ENOUGH * options.seeds else 0
 
 
@@ -235,29 +265,34 @@ def _calibrate(options: Calibrate, console: Console) -> int:
 
     with console.status("fitting") as status:
         found = calibration.calibrate(options.trials, options.seed, status.update)
-    table = Table(title="plain teleoperation: the paper's figures and the fitted model's")
-    for column in ("figure", "paper", "model"):
-        table.add_column(column)
-    for name, wanted, reached in found.rows:
-        table.add_row(escape(name), f"{wanted:.4g}", f"{reached:.4g}")
-    console.print(table)
+    show_table(
+        console,
+        [Column("figure", left=True), Column("paper"), Column("model")],
+        [(escape(name), f"{wanted:.4g}", f"{reached:.4g}") for name, wanted, reached in found.rows],
+        title="plain teleoperation: the paper's figures and the fitted model's",
+    )
     units = {f.name: f.metadata["unit"] for f in dataclasses.fields(operators.Operator)}
     for name in calibration.FITTED:
         console.print(f"{name} = {getattr(found.operator, name):.6g} {units[name]}")
+    if not found.finished:
+        return interrupted(f"{PROGRAM} calibrate", "this is the nearest so far, not the fit")
     return 0
 
 
 def _replay(options: Replay, console: Console) -> int:
-    from app.__main__ import bind_problem
     from app.experiments import playback, protocol
+    from app.serving import bind_problem
     from app.session import Session
     from app.view.page import Page
 
     if problem := bind_problem(options.host, options.port):
-        return _complain(problem)
+        raise OptionError(problem)
     if options.trial is not None:
-        values = json.loads(options.trial.read_text("utf-8"))
-        trial = protocol.Outcome.from_json(values).trial
+        try:
+            values = json.loads(options.trial.read_text("utf-8"))
+            trial = protocol.Outcome.from_json(values).trial
+        except (ValueError, RecursionError) as error:
+            raise OptionError(f"{options.trial}: not the file of a trial: {error}") from None
     else:
         trial = protocol.Trial(
             options.experiment, options.rule, options.number, seed=options.seed,
@@ -284,8 +319,3 @@ def _replay(options: Replay, console: Console) -> int:
         finally:
             page.close()
     return 0
-
-
-def _complain(message: str) -> int:
-    print(f"vf-sandbox experiment: error: {message}", file=sys.stderr)
-    return USAGE_ERROR

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,15 +16,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from app.settings import Length, OptionError, Radius, parse_as
+from app import limits
+from app.commands import answer, interrupted, one_of
+from app.console import console as new_console
+from app.console import count, progress
+from app.limits import Limit, Number, Switch, Whole
+from app.settings import LIMITS, Frame, Length, OptionError, Radius, Unit, parse_as
 
 if TYPE_CHECKING:
     from meshes import Changes, Health, Loaded
 
-SOUND, DEFECTS, USAGE_ERROR = 0, 1, 2
+PROGRAM = "vf-sandbox mesh"
+SOUND, DEFECTS = 0, 1
 File = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
@@ -41,14 +47,17 @@ class Check:
     mesh: File
     """Path of a mesh file (STL, OBJ, PLY, OFF, GLB, glTF, 3MF, VTP, VTK, GIfTI, FreeSurfer; also
     with .gz), or a catalogue name."""
-    unit: str | None = None
-    """Unit of the file: m, mm, cm or in; needed where its size allows mm and m."""
-    frame: str | None = None
-    """Patient frame of a file that does not say it: RAS or LPS."""
+    unit: Unit = None
+    """Unit of the file; needed where its size allows mm and m."""
+    frame: Frame = None
+    """Patient frame of a file that does not say it."""
     json: bool = False
     """Print the report as JSON, with up to 1000 ids of faces, edges or vertices a finding."""
     examine: int = 50_000
     """Look at so many faces for self-intersections and thin walls: all, or evenly sampled."""
+
+    def __post_init__(self) -> None:
+        limits.check(self, CHECK)
 
 
 @dataclass(frozen=True)
@@ -61,18 +70,21 @@ class Repair:
     """Path of a mesh file of any format that is read."""
     out: File
     """File to write: .stl, .obj, .ply, .off, .glb; in the unit of the file that was read."""
-    unit: str | None = None
-    """Unit of the file: m, mm, cm or in; needed where its size allows mm and m."""
-    frame: str | None = None
-    """Patient frame of a file that does not say it: RAS or LPS."""
-    write_frame: str | None = None
-    """Turn it into this patient frame, RAS or LPS: half a turn about z where it is in the other."""
+    unit: Unit = None
+    """Unit of the file; needed where its size allows mm and m."""
+    frame: Frame = None
+    """Patient frame of a file that does not say it."""
+    write_frame: Frame = None
+    """Turn it into this patient frame: half a turn about z where it is in the other."""
     tolerance: Radius = None
     """Vertices that near become one; auto is a millionth of the diagonal."""
     flip: bool = False
     """Turn open sheets over: they have no outside to be known by."""
     overwrite: bool = False
     """Replace a file that exists."""
+
+    def __post_init__(self) -> None:
+        limits.check(self, REPAIR)
 
 
 @dataclass(frozen=True)
@@ -99,6 +111,29 @@ class FromVolume:
     overwrite: bool = False
     """Replace a file that exists."""
 
+    def __post_init__(self) -> None:
+        limits.check(self, FROM_VOLUME)
+
+
+_MESH: dict[str, Limit] = {"mesh": limits.File(), "unit": LIMITS["unit"], "frame": LIMITS["frame"]}
+_OUT: dict[str, Limit] = {"out": limits.File(), "overwrite": Switch()}
+CHECK: dict[str, Limit] = {**_MESH, "json": Switch(), "examine": Whole(0, 10**9)}
+REPAIR: dict[str, Limit] = {
+    **_MESH,
+    **_OUT,
+    "write_frame": LIMITS["frame"],
+    "tolerance": limits.Length(0.0, 1e-2, optional=True),
+    "flip": Switch(),
+}
+FROM_VOLUME: dict[str, Limit] = {
+    **_OUT,
+    "source": limits.File(),
+    "level": Number(-1e9, 1e9, optional=True),
+    "label": Whole(-(2**31), 2**31, optional=True),
+    "volume": Whole(0, 10**6, optional=True),
+    "smooth": limits.Length(0.0, 5e-2),
+    "largest": Switch(),
+}
 
 _KINDS: dict[str, type[List] | type[Check] | type[Repair] | type[FromVolume]] = {
     "list": List,
@@ -110,49 +145,62 @@ _KINDS: dict[str, type[List] | type[Check] | type[Repair] | type[FromVolume]] = 
 
 def main(arguments: list[str]) -> int:
     """Run `mesh list`, `mesh check` and so on; returns the exit code."""
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"usage: vf-sandbox mesh {{{','.join(_KINDS)}}} [options]\n")
-        for name, kind in _KINDS.items():
-            print(f"  {name:12} {(kind.__doc__ or '').strip().splitlines()[0]}")
-        return 0 if arguments else USAGE_ERROR
-    name, *words = arguments
-    if name not in _KINDS:
-        return _complain(f"unknown action '{name}': choose from {', '.join(_KINDS)}")
+    return answer(PROGRAM, lambda: _run(arguments))
+
+
+def _run(arguments: list[str]) -> int:
+    name, words = one_of(PROGRAM, _KINDS, arguments)
+    kind = _KINDS[name]
+    options = parse_as(kind, f"{PROGRAM} {name}", words, cleandoc(kind.__doc__ or ""))
+    if isinstance(options, List):
+        return _list()
     try:
-        kind = _KINDS[name]
-        options = parse_as(kind, f"vf-sandbox mesh {name}", words, cleandoc(kind.__doc__ or ""))
         if isinstance(options, Check):
             return _check(options)
         if isinstance(options, Repair):
             return _repair(options)
-        if isinstance(options, FromVolume):
-            return _from_volume(options)
-        return _list()
-    except (OptionError, ValueError) as error:
-        return _complain(str(error))
+        return _from_volume(options)
+    except KeyboardInterrupt:
+        left = "no report yet" if isinstance(options, Check) else "nothing was written"
+        return interrupted(f"{PROGRAM} {name}", left)
 
 
 def _list() -> int:
+    """A line for each mesh as soon as it is made: some take seconds the first time."""
     import numpy as np
 
     import meshes
 
-    table = Table(box=None, pad_edge=False)
-    for title in ("name", "triangles", "size [mm]", "source", "licence", "about"):
-        table.add_column(
-            escape(title), justify="right" if title in ("triangles", "size [mm]") else "left"
-        )
+    console = new_console()
+    entries = meshes.catalogue().values()
+    width = max(len(entry.name) for entry in entries)
+    console.print(f"{'name':{width}}  {'triangles':>9}  {'size [mm]':18}  about", markup=False)
+    room = max(console.width - width - 2 - 9 - 2 - 18 - 2, 20)
+    shown = 0
     with _stages() as say:
-        for entry in meshes.catalogue().values():
-            vertices, faces = meshes.arrays(entry.name, progress=say)
-            size = " × ".join(f"{1e3 * side:.3g}" for side in np.ptp(vertices, axis=0))
-            table.add_row(
-                entry.name, f"{len(faces):,}", size, entry.source, entry.licence, entry.about
+        try:
+            for entry in entries:
+                say(f"making {entry.name}")
+                vertices, faces = meshes.arrays(entry.name)
+                size = " × ".join(f"{1e3 * side:.3g}" for side in np.ptp(vertices, axis=0))
+                first, *rest = textwrap.wrap(entry.about, room)
+                line = f"{entry.name:{width}}  {len(faces):9,}  {size:18}  {first}"
+                console.print(line, markup=False, soft_wrap=True)
+                for more in rest:
+                    console.print(" " * (width + 33) + more, markup=False, soft_wrap=True)
+                shown += 1
+        except KeyboardInterrupt:
+            return interrupted(
+                f"{PROGRAM} list", f"{shown} of {count(len(entries), 'mesh', 'meshes')}"
             )
-    console = _console()
-    console.print(table)
+    sources: dict[tuple[str, str], list[str]] = {}
+    for entry in entries:
+        sources.setdefault((entry.source, entry.licence), []).append(entry.name)
+    console.print()
+    for (source, licence), names in sources.items():
+        console.print(f"{', '.join(names)}: {source}; {licence}", markup=False)
     for name, remedy in meshes.absent().items():
-        console.print(f"not on this machine: {name}: {escape(remedy)}", soft_wrap=True)
+        console.print(f"not on this machine: {name}: {remedy}", markup=False)
     return SOUND
 
 
@@ -210,8 +258,6 @@ def _aside(name: str, work: Callable[..., Any]) -> Any:
 def _check(options: Check) -> int:
     import meshes
 
-    if options.examine < 0:
-        raise OptionError(f"examine must be zero or more, not {options.examine}")
     work = partial(examined, options.mesh, options.unit, options.frame, options.examine)
     report, unit, frame, notes = _aside(options.mesh, work)
     if options.json:
@@ -219,7 +265,7 @@ def _check(options: Check) -> int:
         print(json.dumps({**about, **report.as_dict()}, indent=1))
     else:
         told = "of no patient" if options.mesh in meshes.catalogue() else meshes.told(frame)
-        _print_report(_console(), options.mesh, report, told)
+        _print_report(new_console(), options.mesh, report, told)
     return SOUND if report.sound else DEFECTS
 
 
@@ -232,7 +278,7 @@ def _print_report(console: Console, name: str, report: Health, frame: str) -> No
 
     least, _, median, _, most = (1e3 * length for length in report.edge_percentiles)
     facts = (
-        ("triangles", f"{report.triangles:,} on {report.vertices:,} vertices"),
+        ("triangles", f"{report.triangles:,} on {count(report.vertices, 'vertex', 'vertices')}"),
         ("size", " × ".join(f"{1e3 * side:.4g}" for side in report.extents) + " mm"),
         ("frame", frame),
         ("edges", f"{least:.3g} … {median:.3g} (median) … {most:.3g} mm"),
@@ -242,7 +288,7 @@ def _print_report(console: Console, name: str, report: Health, frame: str) -> No
         ("area", number(report.area, 1e4, "cm²")),
         ("volume", number(report.volume, 1e6, "cm³")),
         ("thinnest wall", number(report.wall, 1e3, "mm") if report.examined else "not looked for"),
-        ("examined", "all faces" if report.exact else f"{report.examined:,} sampled faces"),
+        ("examined", "all faces" if report.exact else count(report.examined, "sampled face")),
     )
     console.print(f"[bold]{escape(name)}[/]")
     for title, text in facts:
@@ -268,7 +314,7 @@ def _repair(options: Repair) -> int:
     check_writable(options.out, options.overwrite)
     frames.chosen(options.write_frame)
     changes, triangles, unit, frame, _ = _aside(options.mesh, partial(mended, options))
-    console = _console()
+    console = new_console()
     for line in changes.lines() or ("nothing to mend",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
     for line in changes.left:
@@ -276,7 +322,8 @@ def _repair(options: Repair) -> int:
     unit_text = "m" if options.out.lower().endswith(".glb") else unit
     frame_text = frame or "patient frame not known"
     console.print(
-        f"written: {escape(options.out)}, {triangles:,} triangles, in {unit_text}, {frame_text}",
+        f"written: {escape(options.out)}, {count(triangles, 'triangle')}, in {unit_text}, "
+        f"{frame_text}",
         soft_wrap=True,
     )
     return DEFECTS if changes.left else SOUND
@@ -313,10 +360,10 @@ def _from_volume(options: FromVolume) -> int:
     size = " × ".join(f"{1e3 * side:.4g}" for side in np.ptp(vertices, axis=0))
     shape = " × ".join(map(str, grid.values.shape))
     unit = "m" if options.out.lower().endswith(".glb") else "mm"
-    console = _console()
+    console = new_console()
     console.print(f"read: {escape(options.source)}, {shape} voxels of {spacing} mm", soft_wrap=True)
     console.print(
-        f"written: {escape(options.out)}, {len(faces):,} triangles, {size} mm, in {unit}, "
+        f"written: {escape(options.out)}, {count(len(faces), 'triangle')}, {size} mm, in {unit}, "
         + (told(grid.frame) if grid.frame else "left and right a guess"),
         soft_wrap=True,
     )
@@ -343,23 +390,10 @@ def _notes() -> Iterator[None]:
         print(f"vf-sandbox mesh: note: {warning.message}", file=sys.stderr)
 
 
-def _console() -> Console:
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
-
-
 @contextmanager
 def _stages() -> Iterator[Callable[[str], None]]:
     """Shows the stage under way on stderr, if that is a terminal."""
-    console = Console(stderr=True)
-    bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(),
-        console=console, transient=True, disable=not console.is_terminal,
-    )  # fmt: skip
+    bar = progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with bar:
         task = bar.add_task("starting", total=None)
         yield lambda stage: bar.update(task, description=escape(stage))
-
-
-def _complain(message: str) -> int:
-    print(f"vf-sandbox mesh: error: {message}", file=sys.stderr)
-    return USAGE_ERROR

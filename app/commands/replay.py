@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 from rich.markup import escape
 
+from app.commands import answer, interrupted
+from app.console import console as new_console
+from app.console import count
 from app.files import shown
-from app.settings import OptionError, parse_as
+from app.settings import parse_as
 
 if TYPE_CHECKING:
     from app.recording.format import Recording
 
-SAME, DIFFERENT, USAGE_ERROR = 0, 1, 2
+PROGRAM = "vf-sandbox replay"
+SAME, DIFFERENT = 0, 1
 ABOUT = """Repeat a recorded session: the same orders to a fresh engine, without page and clock.
 
 With --check every tick is compared bit for bit. Exit code 0: the same, or not compared; 1:
@@ -44,21 +46,15 @@ class Replay:
 
 def main(arguments: list[str]) -> int:
     """Run `replay`; returns the exit code."""
-    options = parse_as(Replay, "vf-sandbox replay", arguments, ABOUT)
-    console = Console(highlight=False, soft_wrap=True)
-    try:
-        return run(options, console)
-    except OptionError as error:
-        return _complain(str(error))
-    except (ValueError, OSError) as error:
-        return _complain(" ".join(str(error).split()))
+    return answer(PROGRAM, lambda: run(parse_as(Replay, PROGRAM, arguments, ABOUT)))
 
 
-def run(options: Replay, console: Console) -> int:
+def run(options: Replay) -> int:
     """Do it and print what came of it; returns the exit code."""
     from app import replay
     from app.recording.read import read
 
+    console = new_console(soft_wrap=True)
     recording = read(options.file)
     for line in summary(recording):
         console.print(escape(line))
@@ -66,16 +62,28 @@ def run(options: Replay, console: Console) -> int:
         from app import table
 
         table.write(recording, options.csv)
-        console.print(escape(f"written: {options.csv}, {len(recording.rows):,} lines"))
+        console.print(escape(f"written: {options.csv}, {count(len(recording.rows), 'line')}"))
         if not options.check:
             return SAME
     began = time.perf_counter()
     difference = None
-    if options.check:
-        difference = replay.first_difference(recording, options.mesh, options.path)
-    else:
-        for _ in replay.rerun(recording, options.mesh, options.path):
-            pass
+    done = 0
+
+    def repeated(rows: int) -> None:
+        nonlocal done
+        done = rows
+
+    try:
+        if options.check:
+            difference = replay.first_difference(
+                recording, options.mesh, options.path, repeated=repeated
+            )
+        else:
+            for _ in replay.rerun(recording, options.mesh, options.path):
+                done += 1
+    except KeyboardInterrupt:
+        same = ", all the same to the last bit" if options.check else ""
+        return interrupted(PROGRAM, f"{done:,} of {count(len(recording.rows), 'tick')}{same}")
     took = f"{time.perf_counter() - began:.1f} s"
     if difference is not None:
         console.print(f"[red]different[/] after {took}: {escape(str(difference))}")
@@ -83,7 +91,7 @@ def run(options: Replay, console: Console) -> int:
     same = "the same to the last bit" if options.check else "repeated, not compared (see --check)"
     if recording.cut:
         same += " as far as they are readable"
-    console.print(f"{len(recording.rows):,} ticks {same}, {took}")
+    console.print(f"{count(len(recording.rows), 'tick')} {same}, {took}")
     return SAME
 
 
@@ -93,11 +101,13 @@ def summary(recording: Recording) -> list[str]:
 
     ticks = int(recording.rows["ticked"].sum())
     lines = [
-        f"{ticks:,} ticks, {ticks * recording.dt:.1f} s at {1.0 / recording.dt:g} Hz, "
-        f"{len(recording.orders) - 1:,} orders, {len(recording.plants) - 1:,} changes of settings",
+        f"{count(ticks, 'tick')}, {ticks * recording.dt:.1f} s at {1.0 / recording.dt:g} Hz, "
+        f"{count(len(recording.orders) - 1, 'order')}, "
+        f"{count(len(recording.plants) - 1, 'change')} of settings",
     ]
     lines += [
-        f"  {place.options.robot} over {shown(place.options.mesh)}, {place.triangles:,} triangles"
+        f"  {place.options.robot} over {shown(place.options.mesh)}, "
+        f"{count(place.triangles, 'triangle')}"
         for place in recording.places
     ]
     if recording.cut:
@@ -113,8 +123,3 @@ def summary(recording: Recording) -> list[str]:
     if other:
         lines.append("Recorded with " + ", ".join(other) + ": the last bits may differ.")
     return lines
-
-
-def _complain(message: str) -> int:
-    print(f"vf-sandbox replay: error: {message}", file=sys.stderr)
-    return USAGE_ERROR

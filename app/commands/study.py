@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import csv
-import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
-from app.settings import OptionError, parse_as, parse_length
+from app import choices, limits
+from app.commands import answer, interrupted
+from app.console import Column, count, progress, show_table
+from app.console import console as new_console
+from app.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
+from app.limits import Limit, Text, Whole
+from app.settings import OptionError, listed, parse_as
+from app.words import parse_length
 
 if TYPE_CHECKING:
     from app.experiments.protocol import Outcome, Trial
 
-USAGE_ERROR, BROKEN = 2, 1
+PROGRAM = "vf-sandbox study"
+BROKEN = 1
 COLUMNS = (
     "trials", "|PD| [mm]", "CPD [mm]", "SAL", "time [s]", "TRE [mm]", "violations", "unfinished",
 )  # fmt: skip
@@ -40,14 +45,14 @@ A trial's numbers do not depend on how many workers there are. Needs the extra: 
 class Study:
     """What to run, and where."""
 
-    experiment: str = "cutting"
-    """cutting, tracing, or both, joined by commas."""
+    experiment: Annotated[str, listed(EXPERIMENTS)] = "cutting"
+    """One or both, joined by commas."""
     operators: int = 20
     """How many operators, each a variation of the calibrated one."""
-    meshes: str = "skull"
-    """Skulls: skull, skull-coarse, skull-fine, joined by commas."""
-    rules: str = "certified,off"
-    """Rules, joined by commas: off is plain teleoperation; certified, paper."""
+    meshes: Annotated[str, listed(choices.SKULLS)] = "skull"
+    """Skulls, joined by commas."""
+    rules: Annotated[str, listed(RULES)] = "certified,off"
+    """Rules, joined by commas: off is plain teleoperation."""
     noise: str = "0.35mm"
     """Fiducial localisation errors (root mean square), joined by commas."""
     trials: int = 1
@@ -66,23 +71,70 @@ class Study:
     """Where the trials and the summary are kept."""
 
     def __post_init__(self) -> None:
-        for name in ("operators", "trials"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be one or more, got {getattr(self, name)}")
-        if self.workers < 0:
-            raise OptionError(f"workers must be zero or more, got {self.workers}")
+        limits.check(self, STUDY)
+        for name, field in (
+            ("experiment", "experiment"), ("meshes", "mesh"), ("rules", "rule"),
+        ):  # fmt: skip
+            for word in _words(getattr(self, name)):
+                TRIAL[field].check(field, word)
+        for word in _words(self.noise):
+            TRIAL["noise"].check("noise", parse_length(word))
+        if self.length is not None:
+            TRIAL["length"].check("length", parse_length(self.length))
+
+
+STUDY: dict[str, Limit] = {
+    **dict.fromkeys(("experiment", "meshes", "rules", "noise"), Text(1000)),
+    "operators": Whole(1, 100_000),
+    "trials": Whole(1, 10_000),
+    "seed": TRIAL["seed"],
+    "rate": TRIAL["rate"],
+    "length": Text(100, optional=True),
+    "workers": WORKERS,
+    "scheduler": Text(300, optional=True),
+    "out": limits.Path(),
+}
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What came of a list of trials.
+
+    Attributes:
+        outcomes: of those that were done, in the order of the trials.
+        wanted: how many trials there were.
+        elapsed: [s].
+        stopped: what ended it before all were done: an interrupt, or the loss of the cluster.
+    """
+
+    outcomes: list[Outcome]
+    wanted: int
+    elapsed: float
+    stopped: BaseException | None
+
+    def end(self, program: str) -> int:
+        """Say that it is not all; the exit code, or what ended it."""
+        assert self.stopped is not None
+        so_far = (
+            f"{len(self.outcomes)} of {count(self.wanted, 'trial')} done and kept; the same "
+            "command goes on with the rest"
+        )
+        if isinstance(self.stopped, KeyboardInterrupt):
+            return interrupted(program, so_far)
+        raise OSError(f"{self.stopped}; {so_far}") from None
 
 
 def main(arguments: list[str]) -> int:
     """Run `study`; returns the exit code."""
-    options = parse_as(Study, "vf-sandbox study", arguments, ABOUT)
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    return answer(PROGRAM, lambda: _run(arguments))
+
+
+def _run(arguments: list[str]) -> int:
+    options = parse_as(Study, PROGRAM, arguments, ABOUT)
     try:
-        return run(options, console)
+        return run(options, new_console())
     except ImportError as error:
-        return _complain(f"{error}: pip install 'vf-sandbox[study]', or --workers 0")
-    except OSError as error:
-        return _complain(str(error))
+        raise OptionError(f"{error}: pip install 'vf-sandbox[study]', or --workers 0") from None
 
 
 def run(options: Study, console: Console) -> int:
@@ -100,45 +152,61 @@ def run(options: Study, console: Console) -> int:
         rate=options.rate,
         length=None if options.length is None else parse_length(options.length),
     )
-    outcomes, elapsed = collect(
-        trials, options.out / "trials", options.workers, options.scheduler, console
-    )
-    rows = [(*cell, *_summary(found)) for cell, found in _cells(outcomes)]
-    table = Table(title=f"{len(outcomes)} trials, seed {options.seed}, {elapsed:.0f} s")
+    options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
+    found = collect(trials, options.out / "trials", options.workers, options.scheduler)
+    if found.outcomes:
+        _tell(found, options, console)
+    if found.stopped is not None:
+        return found.end(PROGRAM)
+    return BROKEN if any(o.crossings + o.outside for o in found.outcomes) else 0
+
+
+def _tell(found: Collected, options: Study, console: Console) -> None:
+    """Print the summary, and write it as CSV."""
+    rows = [(*cell, *_summary(some)) for cell, some in _cells(found.outcomes)]
     names = ("experiment", "skull", "noise [mm]", "rule", *COLUMNS)
-    for k, name in enumerate(names):
-        table.add_column(name, justify="left" if k < 4 else "right")
-    for row in rows:
-        table.add_row(*(f"{x:.3g}" if isinstance(x, float) else str(x) for x in row))
-    console.print(table)
+    show_table(
+        console,
+        [Column(name, left=k in (0, 1, 3)) for k, name in enumerate(names)],
+        [[f"{x:.3g}" if isinstance(x, float) else str(x) for x in row] for row in rows],
+        labels=4,
+        title=f"{count(len(found.outcomes), 'trial')}, seed {options.seed}, {found.elapsed:.0f} s",
+    )
     path = options.out / "summary.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([names, *rows])
-    console.print(f"written: {path}")
-    return BROKEN if any(o.crossings + o.outside for o in outcomes) else 0
+    console.print(f"written: {path}", markup=False)
 
 
 def collect(
-    trials: Sequence[Trial],
-    folder: Path,
-    workers: int,
-    scheduler: str | None,
-    console: Console,
-) -> tuple[list[Outcome], float]:
-    """Do the trials under a progress bar: outcomes in order, and the time it took [s]."""
+    trials: Sequence[Trial], folder: Path, workers: int, scheduler: str | None
+) -> Collected:
+    """Do the trials under a progress bar, until all are done or something ends it.
+
+    Raises:
+        ImportError, OSError: of `study.run_all`, but for the loss of the cluster.
+    """
     from app.experiments import study
 
-    began = time.perf_counter()
-    with Progress(
+    began = perf_counter()
+    done: dict[str, Outcome] = {}
+    stopped: BaseException | None = None
+    with progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+        TimeRemainingColumn(),
     ) as bar:  # fmt: skip
         task = bar.add_task("trials", total=len(trials))
-        outcomes = study.run_all(
-            trials, folder, workers=workers, scheduler=scheduler,
-            done=lambda _outcome: bar.advance(task),
-        )  # fmt: skip
-    return outcomes, time.perf_counter() - began
+
+        def keep(outcome: Outcome) -> None:
+            done[outcome.trial.key] = outcome
+            bar.advance(task)
+
+        try:
+            study.run_all(trials, folder, workers=workers, scheduler=scheduler, done=keep)
+        except (KeyboardInterrupt, study.ClusterLost) as end:
+            stopped = end
+    outcomes = [done[trial.key] for trial in trials if trial.key in done]
+    return Collected(outcomes, len(trials), perf_counter() - began, stopped)
 
 
 def _cells(outcomes: Sequence[Outcome]) -> list[tuple[tuple[object, ...], list[Outcome]]]:
@@ -173,8 +241,3 @@ def _words(text: str) -> list[str]:
     if not words:
         raise OptionError("a list joined by commas is empty")
     return list(dict.fromkeys(words))
-
-
-def _complain(message: str) -> int:
-    print(f"vf-sandbox study: error: {message}", file=sys.stderr)
-    return USAGE_ERROR

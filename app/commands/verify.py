@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import numpy as np
 import tyro
@@ -14,20 +14,37 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
-from app.settings import RANGES, Length, OptionError, Radius, format_length, parse_as
+from app import choices, limits
+from app.commands import answer, interrupted
+from app.console import Column, count, progress, show_table
+from app.console import console as new_console
+from app.limits import SEEDS, File, Limit, Number, OneOf, Switch, Whole
+from app.settings import (
+    LIMITS,
+    Length,
+    OptionError,
+    Radius,
+    Robot,
+    Rule,
+    Unit,
+    format_length,
+    named,
+    parse_as,
+)
 
 if TYPE_CHECKING:
     from app.verification.campaign import Cover, Drive
     from app.verification.scenes import Scene
 
+PROGRAM = "vf-sandbox verify"
 PASSED, BROKEN = 0, 1
+DAMAGES = ("all", *choices.DAMAGES)
+PART = 10_000  # ticks or queries that are done in one piece
 LEAK_EDGES = (0.3, 1.0, 3.0)
 # Standoff and tip radius of the leak queries, in turn [m].
 LEAK_TOOLS = ((20e-6, 0.0), (0.0, 0.0), (1e-3, 0.0), (20e-6, 5e-4), (0.0, 1e-4))
@@ -57,6 +74,9 @@ than there may be planes. With --queries the planes are also searched for leaks 
 3 times the median edge. Exit code 0: nothing got through; 1: something did."""
 
 
+T = TypeVar("T")
+
+
 @dataclass(frozen=True)
 class Found:
     """What came of one mesh with one kind of damage."""
@@ -72,14 +92,14 @@ class Verify:
 
     mesh: str = "all"
     """Catalogue name, path of a mesh file, or all: every catalogue mesh up to 20,000 triangles."""
-    unit: str | None = None
-    """Unit of a mesh file: m, mm, cm or in; needed where its size allows mm and m."""
-    damage: str = "all"
+    unit: Unit = None
+    """Unit of a mesh file. Needed where its size allows mm and m."""
+    damage: Annotated[str, named(DAMAGES)] = "all"
     """Kind of damage done to the mesh first, none, or all: none and every kind in turn."""
-    robot: str = "point"
-    """Arm that carries the tool: point, psm, panda or ur5."""
-    rule: str = "certified"
-    """Which planes guard the tool: certified, paper, all or off."""
+    robot: Robot = "point"
+    """Arm that carries the tool."""
+    rule: Rule = "certified"
+    """Which planes guard the tool."""
     radius: Annotated[tuple[Radius, ...], tyro.conf.UseAppendAction] = ()
     """Radius of the motion sphere, may be repeated; 0.5mm and 5mm if not given."""
     steps: int = 20_000
@@ -97,27 +117,39 @@ class Verify:
     """Radius of a spherical tool tip, at least: it crosses a triangle where the ball cuts it."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "queries", "seed"):
-            if getattr(self, name) < 0:
-                raise OptionError(f"{name} must be zero or more, got {getattr(self, name)}")
+        limits.check(self, VERIFY)
         if self.steps == 0 and self.queries == 0:
             # "Nothing got through" would be true, and worth nothing.
             raise OptionError("nothing to do: steps and queries are both 0")
-        if not 0.0 <= self.noise <= 0.1:
-            raise OptionError(
-                f"noise must be a share of the radius from 0 to 0.1, got {self.noise}"
-            )
-        for name, values in (("radius", self.radius), ("tip_radius", (self.tip_radius,))):
-            low, high = RANGES[name]
-            for value in values:
-                if value is not None and not low <= value <= high:
-                    text = f"{format_length(low)} to {format_length(high)}"
-                    raise OptionError(f"{name} {format_length(value)} is outside {text}")
+        if self.mesh != "all":
+            choices.check_mesh(self.mesh)
+
+
+class _Radii:
+    """Radii of the motion sphere."""
+
+    def check(self, name: str, value: tuple[float | None, ...]) -> None:
+        """See `limits.Limit.check`."""
+        for one in value:
+            LIMITS["radius"].check(name, one)
+
+
+VERIFY: dict[str, Limit] = {
+    **{name: LIMITS[name] for name in ("unit", "robot", "rule", "tip_radius")},
+    "mesh": File(),
+    "damage": OneOf("damage", DAMAGES),
+    "radius": _Radii(),
+    "steps": Whole(0, 10**12),
+    "queries": Whole(0, 10**12),
+    "seed": Whole(*SEEDS),
+    "noise": Number(0.0, 0.1),
+    "outside": Switch(),
+}
 
 
 def main(arguments: list[str]) -> int:
-    options = parse_as(Verify, "vf-sandbox verify", arguments, ABOUT)
-    return run(options, Console(highlight=False, width=None if sys.stdout.isatty() else 140))
+    """Run `verify`; returns the exit code."""
+    return answer(PROGRAM, lambda: run(parse_as(Verify, PROGRAM, arguments, ABOUT), new_console()))
 
 
 def run(options: Verify, console: Console) -> int:
@@ -129,21 +161,12 @@ def run(options: Verify, console: Console) -> int:
     from app.verification.scenes import SCENES
     from meshes.damage import damage, kinds
 
-    if options.rule not in vf.RULES:
-        raise OptionError(f"unknown rule '{options.rule}': choose one of {', '.join(vf.RULES)}")
-    if options.damage != "all" and options.damage not in kinds():
-        raise OptionError(
-            f"unknown damage '{options.damage}': choose all or one of {', '.join(kinds())}"
-        )
-    try:
-        arm = robots.load(options.robot)
-        if options.mesh == "all":
-            sources = {name: meshes.arrays(name) for name in meshes.names()}
-            sources = {name: mesh for name, mesh in sources.items() if len(mesh[1]) <= 20_000}
-        else:
-            sources = {options.mesh: meshes.arrays(options.mesh, unit=options.unit)}
-    except ValueError as error:
-        raise OptionError(str(error)) from None
+    arm = robots.load(options.robot)
+    if options.mesh == "all":
+        sources = {name: meshes.arrays(name) for name in meshes.names()}
+        sources = {name: mesh for name, mesh in sources.items() if len(mesh[1]) <= 20_000}
+    else:
+        sources = {options.mesh: meshes.arrays(options.mesh, unit=options.unit)}
     damages = kinds() if options.damage == "all" else (options.damage,)
     radii: tuple[float | None, ...] = options.radius or (5e-4, 5e-3)
 
@@ -156,57 +179,64 @@ def run(options: Verify, console: Console) -> int:
     query_share = -(-options.queries // (len(cases) * len(LEAK_EDGES)))
     found: dict[tuple[str, str], Found] = {}
     began = perf_counter()
-    bar = Progress(
+    bar = progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+        TimeElapsedColumn(), TimeRemainingColumn(),
     )  # fmt: skip
-    with bar:
-        work = len(cases) * (share * len(radii) + query_share * len(LEAK_EDGES))
-        task = bar.add_task("verify", total=work)
-        for number, (name, kind) in enumerate(cases):
-            bar.update(task, description=f"{name}, {kind}")
-            mesh = damage(kind, sources[name], options.seed)
-            outside_of = vf.Surface.from_arrays(*sources[name]) if options.outside else None
-            around = [kinds_of_scene[(number + k) % len(kinds_of_scene)] for k in range(len(radii))]
-            drives = [
-                campaign.drive(
-                    arm, mesh, rule=options.rule, radius=radius, steps=share,
-                    seed=options.seed + 1000 * number + k,
-                    noise=options.noise if (number + k) % 2 else 0.0,
-                    tip_radius=options.tip_radius, scene=around[k], outside_of=outside_of,
-                    progress=lambda n: bar.advance(task, n),
-                )
-                for k, radius in enumerate(radii)
-                if share
-            ]  # fmt: skip
-            tools = [leak_tools[(number + k) % len(leak_tools)] for k in range(len(LEAK_EDGES))]
-            covers = [
-                campaign.query(
-                    mesh, rule=options.rule, edges=edges, queries=query_share,
-                    seed=options.seed + 1000 * number + k,
-                    standoff=tools[k][0], tip_radius=tools[k][1], outside_of=outside_of,
-                    progress=lambda n: bar.advance(task, n),
-                )
-                for k, edges in enumerate(LEAK_EDGES)
-                if query_share
-            ]  # fmt: skip
-            found[name, kind] = Found(around, drives, covers)
+    stopped = False
+    try:
+        with bar:
+            work = len(cases) * (share * len(radii) + query_share * len(LEAK_EDGES))
+            task = bar.add_task("verify", total=work)
+            for number, (name, kind) in enumerate(cases):
+                bar.update(task, description=f"{name}, {kind}")
+                mesh = damage(kind, sources[name], options.seed)
+                outside_of = vf.Surface.from_arrays(*sources[name]) if options.outside else None
+                here = found.setdefault((name, kind), Found([], [], []))
+                for k, radius, part, steps in _parts(radii, share):
+                    scene = kinds_of_scene[(number + k) % len(kinds_of_scene)]
+                    here.scenes.append(scene)
+                    here.drives.append(
+                        campaign.drive(
+                            arm, mesh, rule=options.rule, radius=radius, steps=steps,
+                            seed=options.seed + 1000 * number + k + 10**6 * part,
+                            noise=options.noise if (number + k) % 2 else 0.0,
+                            tip_radius=options.tip_radius, scene=scene, outside_of=outside_of,
+                            progress=lambda n: bar.advance(task, n),
+                        )
+                    )  # fmt: skip
+                for k, edges, part, queries in _parts(LEAK_EDGES, query_share):
+                    standoff, tip_radius = leak_tools[(number + k) % len(leak_tools)]
+                    here.covers.append(
+                        campaign.query(
+                            mesh, rule=options.rule, edges=edges, queries=queries,
+                            seed=options.seed + 1000 * number + k + 10**6 * part,
+                            standoff=standoff, tip_radius=tip_radius, outside_of=outside_of,
+                            progress=lambda n: bar.advance(task, n),
+                        )
+                    )  # fmt: skip
+    except KeyboardInterrupt:
+        stopped = True
+    drives = [d for f in found.values() for d in f.drives]
+    covers = [c for f in found.values() for c in f.covers]
+    if stopped and not drives and not covers:
+        return interrupted(PROGRAM, "before anything was done")
     by_mesh = len(damages) == 1
-    table = Table(
-        title=f"rule {options.rule}, arm {options.robot}, seed {options.seed}, "
-        + (f"damage {damages[0]}" if by_mesh else f"{len(sources)} meshes")
-    )
     labels = tuple(sources) if by_mesh else damages
-    table.add_column("mesh" if by_mesh else "damage", min_width=max(map(len, labels)))
-    for name in COLUMNS:
-        table.add_column(name, justify="right")
+    rows = []
     for label in labels:
         mine = [f for case, f in found.items() if case[0 if by_mesh else 1] == label]
-        table.add_row(label, *_cells(mine))
-    table.add_row("all", *_cells(list(found.values())), style="bold")
-    console.print(table)
+        rows.append((label, *_cells(mine)))
+    rows.append(("all", *_cells(list(found.values()))))
+    show_table(
+        console,
+        [Column("mesh" if by_mesh else "damage", left=True), *(Column(name) for name in COLUMNS)],
+        rows,
+        title=f"rule {options.rule}, arm {options.robot}, seed {options.seed}, "
+        + (f"damage {damages[0]}" if by_mesh else count(len(sources), "mesh", "meshes")),
+    )
     if options.steps and varied:
-        console.print(_by_scene(list(found.values())))
+        _show_by_scene(list(found.values()), console)
     complaints = []
     for (name, kind), f in found.items():
         firsts = [
@@ -219,14 +249,25 @@ def run(options: Verify, console: Console) -> int:
     for line in complaints[:10]:
         console.print(line, soft_wrap=True)
     if len(complaints) > 10:
-        console.print(f"… and {len(complaints) - 10} more places")
-    crossings = sum(d.crossings for f in found.values() for d in f.drives)
-    leaks = sum(c.leaking for f in found.values() for c in f.covers)
+        console.print(f"… and {count(len(complaints) - 10, 'more place')}")
+    crossings = sum(d.crossings for d in drives)
+    leaks = sum(c.leaking for c in covers)
     console.print(
-        f"{crossings:,} crossings at radius {', '.join(format_length(r) for r in radii)}, "
-        f"{leaks:,} leaks; {perf_counter() - began:.0f} s"
+        f"{count(crossings, 'crossing')} at radius {', '.join(map(format_length, radii))}, "
+        f"{count(leaks, 'leak')}; {perf_counter() - began:.0f} s"
     )
+    if stopped:
+        ticks = count(sum(d.ticks for d in drives), "tick")
+        asked = count(sum(c.queries for c in covers), "query", "queries")
+        return interrupted(PROGRAM, f"this is of {ticks} and {asked}")
     return BROKEN if crossings or leaks else PASSED
+
+
+def _parts(kinds: Sequence[T], share: int) -> Iterator[tuple[int, T, int, int]]:
+    """Number of the kind, the kind, number of the part, and its length: an interrupt loses one."""
+    for k, kind in enumerate(kinds):
+        for part, start in enumerate(range(0, share, PART)):
+            yield k, kind, part, min(PART, share - start)
 
 
 def _cells(found: list[Found]) -> list[str]:
@@ -256,33 +297,33 @@ def _cells(found: list[Found]) -> list[str]:
     ]
 
 
-def _by_scene(found: list[Found]) -> Table:
+def _show_by_scene(found: list[Found], console: Console) -> None:
     """The same drives by what stood around the tip."""
     import vf
     from app.verification.scenes import SCENES
 
-    table = Table()
-    table.add_column("around the tip", min_width=max(len(scene.name) for scene in SCENES))
-    for name in SCENE_COLUMNS:
-        table.add_column(name, justify="right")
+    rows = []
     for scene in SCENES:
         drives = [d for f in found for s, d in zip(f.scenes, f.drives, strict=False) if s is scene]
         ticks = sum(d.ticks for d in drives)
         if not ticks:
             continue
         statuses = sum((d.statuses for d in drives), Counter[vf.Status]())
-        table.add_row(
-            scene.name,
-            f"{ticks:,}",
-            f"{sum(d.crossings for d in drives):,}",
-            f"{statuses[vf.Status.HELD]:,}",
-            f"{statuses[vf.Status.SHORTENED]:,}",
-            f"{statuses[vf.Status.RECOVERING]:,}",
-            f"{sum(d.planes for d in drives) / ticks:.1f}",
-            f"{sum(d.shrunk for d in drives):,}",
-            f"{1e6 * float(np.median([t for d in drives for t in d.times])):.0f}",
+        rows.append(
+            (
+                scene.name,
+                f"{ticks:,}",
+                f"{sum(d.crossings for d in drives):,}",
+                f"{statuses[vf.Status.HELD]:,}",
+                f"{statuses[vf.Status.SHORTENED]:,}",
+                f"{statuses[vf.Status.RECOVERING]:,}",
+                f"{sum(d.planes for d in drives) / ticks:.1f}",
+                f"{sum(d.shrunk for d in drives):,}",
+                f"{1e6 * float(np.median([t for d in drives for t in d.times])):.0f}",
+            )
         )
-    return table
+    columns = [Column("around the tip", left=True), *map(Column, SCENE_COLUMNS)]
+    show_table(console, columns, rows)
 
 
 def _percent(part: int, whole: int) -> str:

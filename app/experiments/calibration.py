@@ -41,11 +41,15 @@ DIFFERENCE = 0.25  # in the logarithm of a value: large, for the figures are noi
 
 @dataclass(frozen=True)
 class Calibration:
-    """The fitted operator, and how near it comes: rows of name, wanted, reached."""
+    """The fitted operator, and how near it comes: rows of name, wanted, reached.
+
+    `finished`: it is the fit; else the nearest that was found until an interrupt.
+    """
 
     operator: Operator
     rows: tuple[tuple[str, float, float], ...]
     evaluations: int
+    finished: bool = True
 
 
 def wanted() -> dict[str, float]:
@@ -96,7 +100,11 @@ def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
 def calibrate(
     trials: int = 12, seed: int = 0, say: Callable[[str], None] = lambda _text: None
 ) -> Calibration:
-    """Fit the six values, by least squares of relative differences."""
+    """Fit the six values, by least squares of relative differences.
+
+    Raises:
+        KeyboardInterrupt: before there was anything to compare.
+    """
     goal = np.array(list(wanted().values()))
     start = np.log(list(START.values()))
 
@@ -104,25 +112,37 @@ def calibrate(
         values = {name: float(v) for name, v in zip(FITTED, np.exp(x), strict=True)}
         return replace(Operator(), **values)
 
+    seen: list[tuple[float, Operator, dict[str, float]]] = []
+
     def miss(x: FloatArray) -> FloatArray:
-        figures = np.array(list(reached(operator(x), trials, seed).values()))
-        off = figures / goal - 1.0
+        figures = reached(operator(x), trials, seed)
+        off = np.array(list(figures.values())) / goal - 1.0
+        seen.append((float(off @ off), operator(x), figures))
         say(f"off by {100 * float(np.abs(off).max()):.1f} %")
         return off
 
-    fit = least_squares(
-        miss, start, diff_step=DIFFERENCE / np.maximum(np.abs(start), 1.0), max_nfev=6,
-        xtol=1e-3, ftol=1e-4,
-    )  # fmt: skip
-    found = operator(fit.x)
-    # The two paces decide two of the figures nearly alone; what noise left of those is settled.
-    for _ in range(SETTLED):
+    try:
+        fit = least_squares(
+            miss, start, diff_step=DIFFERENCE / np.maximum(np.abs(start), 1.0), max_nfev=6,
+            xtol=1e-3, ftol=1e-4,
+        )  # fmt: skip
+        found = operator(fit.x)
+        # The two paces decide two of the figures nearly alone; what noise left is settled.
+        for _ in range(SETTLED):
+            figures = reached(found, trials, seed)
+            found = replace(
+                found,
+                stroke=found.stroke * figures["time [s]"] / goal[4],
+                tracing_stroke=found.tracing_stroke * figures["SAL"] / goal[5],
+            )
         figures = reached(found, trials, seed)
-        found = replace(
-            found,
-            stroke=found.stroke * figures["time [s]"] / goal[4],
-            tracing_stroke=found.tracing_stroke * figures["SAL"] / goal[5],
-        )
-    figures = reached(found, trials, seed)
-    rows = tuple((name, value, figures[name]) for name, value in wanted().items())
-    return Calibration(found, rows, int(fit.nfev))
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        _, found, figures = min(seen, key=lambda one: one[0])
+        return Calibration(found, _rows(figures), len(seen), finished=False)
+    return Calibration(found, _rows(figures), int(fit.nfev))
+
+
+def _rows(figures: dict[str, float]) -> tuple[tuple[str, float, float], ...]:
+    return tuple((name, value, figures[name]) for name, value in wanted().items())

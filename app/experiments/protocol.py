@@ -16,18 +16,17 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
+from app import limits
 from app.experiments import cutting, judge, registration, site, smoothness
 from app.experiments.follower import ControlledArm
+from app.experiments.limits import EXPERIMENTS, OUTCOME, RULES, TRIAL
 from app.experiments.operators import Operator
 from app.experiments.site import Course
 from app.experiments.trial import Run, perform
 from app.scene import corridor
-from app.settings import OptionError
 
 FloatArray = NDArray[np.float64]
 
-EXPERIMENTS = ("tracing", "cutting")
-RULES = ("off", "certified", "paper")
 RADIUS = 5e-3  # of the motion sphere, the paper's [m]
 LOCALISATION = 0.35e-3  # fiducial localisation error, 3D root mean square, assumed [m]
 SAMPLED = 100.0  # the smoothness is judged at, and trajectories are kept at [Hz]
@@ -67,20 +66,7 @@ class Trial:
     length: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value, known in (
-            ("experiment", self.experiment, EXPERIMENTS),
-            ("rule", self.rule, RULES),
-            ("skull", self.mesh, tuple(site.SEGMENTS)),
-        ):
-            if value not in known:
-                raise OptionError(f"unknown {name} '{value}': choose one of {', '.join(known)}")
-        if not 0.0 <= self.noise <= 5e-3:
-            raise OptionError(f"noise {self.noise * 1e3:g} mm is outside 0 to 5 mm")
-        if not 50.0 <= self.rate <= 5000.0:
-            raise OptionError(f"rate {self.rate:g} Hz is outside 50 to 5000 Hz")
-        for name in ("number", "operator", "seed"):
-            if getattr(self, name) < 0:
-                raise OptionError(f"{name} must be zero or more, got {getattr(self, name)}")
+        limits.check(self, TRIAL)
 
     @property
     def key(self) -> str:
@@ -163,12 +149,20 @@ class Outcome:
         return values
 
     @staticmethod
-    def from_json(values: dict[str, Any]) -> Outcome:
-        values = dict(values)
+    def from_json(content: object) -> Outcome:
+        """An outcome from the plain values of a file that nobody vouches for.
+
+        Raises:
+            OptionError: a key that does not belong there or is missing, or a value out of range.
+        """
+        limits.check_object("the outcome of a trial", content, OUTCOME)
+        assert isinstance(content, dict)
+        values = dict(content)
+        limits.check_object("its trial", values["trial"], TRIAL)
         values["trial"] = Trial(**values["trial"])
         for name in ("stations", "deviation", "penetration", "trajectory"):
             array = np.array(values[name], dtype=np.float64)
-            values[name] = array if name == "trajectory" else array[0]
+            values[name] = array.reshape(-1, 4) if name == "trajectory" else array[0]
         return Outcome(**values)
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.markup import escape
 
+from app.console import Column, count, show_table
 from app.experiments import analysis
 from app.experiments.analysis import Line
 from app.experiments.operators import Operator
@@ -38,12 +39,12 @@ def lines(outcomes: Sequence[Outcome]) -> list[Line]:
 
 def show(outcomes: Sequence[Outcome], console: Console) -> None:
     """The table beside the paper's figures, and what was judged."""
-    table = Table(title=_title(outcomes))
-    for k, name in enumerate(_COLUMNS):
-        table.add_column(name, justify="left" if k == 0 else "right")
-    for line in lines(outcomes):
-        table.add_row(*_cells(line))
-    console.print(table)
+    show_table(
+        console,
+        [Column(name, left=k == 0) for k, name in enumerate(_COLUMNS)],
+        [[escape(cell) for cell in _cells(line)] for line in lines(outcomes)],
+        title=_title(outcomes),
+    )
     for verdict in _verdicts(outcomes):
         console.print(verdict)
     console.print(f"[dim]{CAVEAT}[/]")
@@ -123,8 +124,8 @@ def _verdicts(outcomes: Sequence[Outcome]) -> list[str]:
     steps = sum(o.ticks for o in on)
     slowest = min(o.duration / o.driving for o in outcomes)
     found = [
-        f"{analysis.violations(outcomes)} violations of the registered surface and corridor in "
-        f"{steps:,} assisted ticks, judged apart from the fixtures.",
+        f"{count(analysis.violations(outcomes), 'violation')} of the registered surface and "
+        f"corridor in {count(steps, 'assisted tick')}, judged apart from the fixtures.",
         f"Registration: FRE {1e3 * np.mean([o.fre for o in outcomes]):.2f} mm, "
         f"TRE along the cut {1e3 * np.mean([o.tre for o in outcomes]):.2f} mm on average. "
         f"Slowest trial: {slowest:.1f} times real time, by processor time on one core.",

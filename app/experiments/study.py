@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,9 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from app.console import count
 from app.experiments.protocol import Outcome, Trial, run
 
+_DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 RETRIES = 5  # a worker may die under a trial this often before the trial is given up
+
+
+class ClusterLost(OSError):
+    """The scheduler or its workers are gone; the message says which. What was done is written."""
 
 
 def grid(
@@ -66,6 +73,7 @@ def run_all(
 
     Raises:
         ImportError: Dask is needed and not installed.
+        ClusterLost: the scheduler or the workers are gone before all trials are done.
         OSError: the scheduler cannot be reached, or the folder not be written.
     """
     wanted = list(trials)
@@ -100,15 +108,28 @@ def outcome_text(trial: Trial) -> str:
 
 
 def _distributed(trials: Sequence[Trial], workers: int, scheduler: str | None) -> Iterator[str]:
-    from distributed import as_completed
+    from concurrent.futures import CancelledError
+
+    from distributed import KilledWorker, as_completed
+    from distributed.comm import CommClosedError
 
     with _client(workers, scheduler) as client:
-        futures = [
-            client.submit(outcome_text, trial, key=trial.key, retries=RETRIES, pure=False)
-            for trial in trials
-        ]
-        for _future, text in as_completed(futures, with_results=True):
-            yield text
+        try:
+            futures = [
+                client.submit(outcome_text, trial, key=trial.key, retries=RETRIES, pure=False)
+                for trial in trials
+            ]
+            for _future, text in as_completed(futures, with_results=True):
+                if isinstance(text, CancelledError):  # given, not raised
+                    raise text
+                yield text
+        except KilledWorker as error:
+            raise ClusterLost(
+                f"{count(RETRIES + 1, 'worker')} died under the trial {error.task}: is there "
+                "enough memory?"
+            ) from None
+        except (CancelledError, CommClosedError, TimeoutError) as error:
+            raise ClusterLost("the scheduler is gone") from error
 
 
 @contextmanager
@@ -116,7 +137,15 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {"distributed.scheduler.allowed-failures": RETRIES}
+    settings = {
+        "distributed.scheduler.allowed-failures": RETRIES,
+        # An interrupt is for the study, which ends its workers.
+        "distributed.worker.preload": [_DEAF],
+    }
+    # What becomes of workers and scheduler is told in one line at the end.
+    for name in [*logging.root.manager.loggerDict]:
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(settings):
         if scheduler is not None:
             with Client(scheduler, timeout="10s") as client:
@@ -126,7 +155,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         with (
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True,
-                dashboard_address="127.0.0.1:0", host="127.0.0.1",
+                dashboard_address="127.0.0.1:0", host="127.0.0.1", silence_logs=logging.CRITICAL,
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip

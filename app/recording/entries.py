@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.autopilot import Course
 from app.engine import State
+from app.limits import FARTHEST
 from app.recording.format import (
     FORMAT,
     JOINTS,
@@ -22,7 +23,11 @@ from app.recording.format import (
     Place,
     RecordingError,
 )
+from app.scenario_values import LONGEST
 from app.settings import OptionError, Options
+
+COURSE_FARTHEST = 2.0 * FARTHEST  # [m] of a scenario's place in its mesh, which is placed in turn
+COURSE_LONGEST = LONGEST  # [s]
 
 
 def parsed(data: bytes, name: str) -> dict[str, Any]:
@@ -193,6 +198,14 @@ def course(entry: object) -> Course | None:
     rotation, points = tables
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
         raise RecordingError("the rotation of a course in the header is none")
+    if (np.abs(points) > COURSE_FARTHEST).any():
+        raise RecordingError(
+            f"a point of a course in the header is more than {COURSE_FARTHEST:g} m from the base"
+        )
+    if times[-1] > COURSE_LONGEST:
+        raise RecordingError(
+            f"a course in the header goes on for {times[-1]:g} s, at most {COURSE_LONGEST:g} s"
+        )
     if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
         raise RecordingError("the times of a course in the header do not rise from 0")
     return Course(rotation, times, points)

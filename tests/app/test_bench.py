@@ -320,7 +320,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     stored = json.loads((tmp_path / "runtime.json").read_text())
     assert stored["rows"][0]["radius [m]"] == 2e-3
     assert bench.main(["walk"]) == 2
-    assert "choose from runtime, peers, loop" in capsys.readouterr().err
+    assert "choose one of runtime, peers, loop" in capsys.readouterr().err
     assert bench.main(["runtime", *words, "--rules", "magic"]) == 2
     assert "unknown rule 'magic'" in capsys.readouterr().err
     assert bench.main(["loop", "--phases", "dancing"]) == 2

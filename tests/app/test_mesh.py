@@ -86,14 +86,17 @@ def test_repair_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["fly"], "unknown action 'fly': choose from list, check, repair, from-volume"),
+        (["fly"], "unknown command 'fly': choose one of list, check, repair, from-volume"),
         (["check", "torsu"], "did you mean 'torus'"),
-        (["check", "torus", "--examine", "-1"], "examine must be zero or more, not -1"),
+        (["check", "torus", "--examine", "-1"], "examine -1 is outside 0 to"),
         (["check", "missing.stl"], "no such file"),
         (["repair", "torus", "out.docx"], "unknown format '.docx'; choose one of .stl"),
         (["repair", "torus", "no/such/folder/out.stl"], "there is no folder"),
         (["repair", "torus", "out.stl", "--tolerance", "wide"], "'wide' is not a length"),
-        (["repair", "torus", "out.stl", "--tolerance", "-1mm"], "zero or more, not -0.001"),
+        (
+            ["repair", "torus", "out.stl", "--tolerance", "-1mm"],
+            "tolerance -1mm is outside 0mm to 10mm",
+        ),
         (["repair", "missing.stl", "out.stl"], "no such file"),
     ],
 )
@@ -123,9 +126,7 @@ def test_list_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
     assert "Apache-2.0" in out
     assert main(["mesh", "--help"]) == 0
     assert "check" in capsys.readouterr().out
-    with pytest.raises(SystemExit) as stop:
-        main(["mesh", "check", "--help"])
-    assert stop.value.code == 0
+    assert main(["mesh", "check", "--help"]) == 0
 
 
 def test_the_patient_frame_is_said_asked_for_and_turned(

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull
 import meshes
 import vf
 from app import __main__ as main
-from app import replay
+from app import cli, replay
 from app import scene as scenes
 from app.autopilot import Course
 from app.course import course, present, stage
@@ -262,7 +262,9 @@ def test_every_setting_of_a_scenario_is_in_its_file_and_no_other() -> None:
     assert set(content) == set(SETTINGS) | extra
     # What is of the server or of the machine is not part of what is shared.
     left = {field for field in vars(Options()) if field not in SETTINGS}
-    assert left == {"rate", "host", "port", "stale_after", "upload_limit", "record", "scenario"}
+    assert left == {
+        "rate", "host", "port", "open", "stale_after", "upload_limit", "record", "scenario",
+    }  # fmt: skip
     assert content["radius"] == "1mm"
     assert content["proxy"][0] == {"time": 1.5, "at": "-8mm,-8mm,14mm"}
 
@@ -279,18 +281,53 @@ def test_meshes_are_found_from_where_the_file_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here, there = tmp_path / "scenarios", tmp_path / "elsewhere"
-    here.mkdir()
+    (here / "bones").mkdir(parents=True)
     there.mkdir()
-    meshes.save(tmp_path / "bone.ply", *meshes.arrays("cube"))
-    written = Scenario("mine", "A cube.", Options(mesh=str(tmp_path / "bone.ply"), unit="mm"))
+    bone = here / "bones" / "bone.ply"
+    meshes.save(bone, *meshes.arrays("cube"))
+    written = Scenario("mine", "A cube.", Options(mesh=str(bone), unit="mm"))
     write(written, here / "mine.json")
-    assert json.loads((here / "mine.json").read_text())["mesh"] == "../bone.ply"
+    assert json.loads((here / "mine.json").read_text())["mesh"] == "bones/bone.ply"
     monkeypatch.chdir(there)
     again = find(str(here / "mine.json"))
     assert again == written
     assert scenes.build(again.options, 1).mesh_name == "bone.ply"
     # For one who saves it beside the mesh, without telling where that was.
     assert json.loads(dumps(written))["mesh"] == "bone.ply"
+    for elsewhere in (there, tmp_path / "scenarios-2"):
+        elsewhere.mkdir(exist_ok=True)
+        with pytest.raises(ScenarioError, match=r"bone\.ply is not in .* or below: keep"):
+            write(written, elsewhere / "mine.json")
+        assert not (elsewhere / "mine.json").exists()
+
+
+@pytest.mark.parametrize("key", ["mesh", "path"])
+def test_a_scenario_names_no_file_outside_its_folder(key: str, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    (here / "deep").mkdir(parents=True)
+    secret = tmp_path / "secret.stl"
+    secret.write_bytes(b"")
+    (here / "bone.stl").write_bytes(b"")
+    (here / "link.stl").symlink_to(secret)
+    (here / "way").symlink_to(tmp_path)
+    (here / "inner.stl").symlink_to(here / "bone.stl")
+    for name in (
+        "../secret.stl", "deep/../../secret.stl", "./../secret.stl", str(secret), "link.stl",
+        "way/secret.stl", "/dev/zero", "deep/../bone.stl",
+    ):  # fmt: skip
+        with pytest.raises(ScenarioError, match=rf'^"{key}": .*in the scenario\'s own folder'):
+            loads(changed(**{key: name}), here)
+    for name in ("bone.stl", "./bone.stl", "deep/bone.stl", "inner.stl", "..bone.stl"):
+        found = getattr(loads(changed(**{key: name}), here).options, key)
+        assert Path(found) == here / name
+    # The folder may itself be reached by a link.
+    (tmp_path / "there").symlink_to(here)
+    assert loads(changed(**{key: "bone.stl"}), tmp_path / "there")
+
+
+def test_a_name_that_is_no_file_is_one_of_the_catalogue(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r'"mesh": unknown mesh "secret": choose one of skull'):
+        loads(changed(mesh="secret"), tmp_path)
 
 
 def changed(**changes: object) -> str:
@@ -325,7 +362,15 @@ POINT = {"time": 0.0, "at": "0mm,0mm,0mm"}
         (changed(robot="r2d2"), "unknown robot 'r2d2': choose one of psm, point, panda, ur5"),
         (changed(damage="smashed"), "unknown damage 'smashed': choose one of none, "),
         (changed(up="w"), "unknown axis 'w': choose one of z, -z"),
-        (changed(camera="hand"), 'unknown camera "hand": choose one of arm, anatomy, site'),
+        (changed(camera="hand"), "unknown camera 'hand': choose one of arm, anatomy, site"),
+        (changed(unit="parsec"), "unknown unit 'parsec': choose one of m, cm, mm, in"),
+        (changed(unit=3), '"unit": 3: must be a text or null'),
+        (changed(at="0,0,1e300m"), "at 0m,0m,1e+300m is more than 2 m from the origin"),
+        (changed(at="0,0,3"), "has no unit: write 3mm for millimetres, 3m for metres"),
+        (changed(rotate="0,1e298,0"), "rotate 0,1e+298,0 is outside -720 to 720 degrees"),
+        (changed(tip_speed="1e9m/s"), "tip_speed 1e+09 m/s is outside 0.001 m/s to 2 m/s"),
+        (changed(tip_speed="fast"), "'fast' is not a speed"),
+        (changed(mesh="x" * 5000), "mesh must be a path of 1 to 4096 characters without a NUL"),
         (changed(camera={"eye": "0,0,1m"}), 'must be a name or {"eye": "x,y,z", "look_at"'),
         (changed(camera={"eye": "0,0,1m", "look_at": "auto"}), "has no place: auto is none"),
         (changed(camera={"eye": "0,0,21m", "look_at": "0,0,0"}), "camera's eye at 0mm,0mm,21000mm"),
@@ -353,16 +398,15 @@ POINT = {"time": 0.0, "at": "0mm,0mm,0mm"}
         (changed(proxy=[{**POINT, "speed": 1}]), "has a waypoint that is not"),
         (changed(proxy=[{**POINT, "at": [0, 0, 0]}]), "must be a text"),
         (changed(proxy=[{**POINT, "at": "auto"}]), "has a waypoint without a place"),
-        (changed(proxy=[{**POINT, "at": "0,0,3m"}]), "is more than 2 m from the mesh's origin"),
-        (changed(proxy=[{**POINT, "at": "0,0,1e999"}]), "is more than 2 m from the mesh's origin"),
-        (changed(proxy=[{**POINT, "time": -1}]), "first waypoint's time must be between 0 and 600"),
+        (changed(proxy=[{**POINT, "at": "0,0,3m"}]), "is more than 2 m from the origin"),
+        (changed(proxy=[{**POINT, "at": "0,0,1e999m"}]), "is more than 2 m from the origin"),
+        (changed(proxy=[{**POINT, "time": -1}]), "time -1 s is outside 0 s to 600 s"),
         (changed(proxy=[POINT, POINT]), "time 0 s must be after the one before (0 s)"),
-        (changed(proxy=[POINT, {**POINT, "time": 1e6}]), "and at most 600 s"),
+        (changed(proxy=[POINT, {**POINT, "time": 1e6}]), "time 1e+06 s is outside 0 s to 600 s"),
         (changed(proxy=[{**POINT, "time": k} for k in range(201)]), "201 waypoints: at most 200"),
         (changed(wxyz=[1, 0, 0]), '"wxyz": [1, 0, 0]: must be four numbers w, x, y, z, or null'),
         (changed(wxyz=[0, 0, 0, 0]), "wxyz must be a unit quaternion"),
-        (changed(mesh="/etc/passwd"), '"mesh": "/etc/passwd": write a path relative to'),
-        (changed(mesh="bone\0.stl"), "write a path relative to"),
+        (changed(mesh="bone\0.stl"), "mesh must be a path of 1 to 4096 characters"),
         (changed(mesh="bone.stl"), "there is no file to find this one from"),
         (changed(path="cut.txt"), '"path": "cut.txt": there is no file to find this one from'),
         (changed(about="x" * 200_000), "bytes are more than a scenario has (100,000)"),
@@ -417,14 +461,14 @@ def test_a_file_that_is_not_there_or_too_long_is_named(tmp_path: Path) -> None:
 
 
 def test_a_scenario_by_its_name_and_options_that_win_over_it() -> None:
-    options, scenario = main._wanted(["--scenario", "saddle", "--radius", "2mm", "--port", "0"])
+    options, scenario = cli._wanted(["--scenario", "saddle", "--radius", "2mm", "--port", "0"])
     assert scenario == PRESETS["saddle"]
     assert (options.mesh, options.rule, options.radius) == ("saddle-slab", "paper", 2e-3)
     assert options.port == 0
     # Also back to what is the default without a scenario.
-    options, _ = main._wanted(["--scenario", "saddle", "--rule", "certified", "--radius", "5mm"])
+    options, _ = cli._wanted(["--scenario", "saddle", "--rule", "certified", "--radius", "5mm"])
     assert (options.rule, options.radius) == ("certified", 5e-3)
-    assert main._wanted(["--scenario", "saddle", "--mesh", "saddle-slab"])[1] is not None
+    assert cli._wanted(["--scenario", "saddle", "--mesh", "saddle-slab"])[1] is not None
 
 
 @pytest.mark.parametrize(

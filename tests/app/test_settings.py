@@ -6,18 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.settings import (
-    RANGES,
+from app.settings import RANGES, Options, in_range, parse
+from app.words import (
     OptionError,
-    Options,
     format_length,
     format_point,
+    format_speed,
     format_turn,
-    in_range,
-    parse,
+    parse_corridor,
     parse_length,
     parse_point,
     parse_radius,
+    parse_speed,
     parse_turn,
 )
 
@@ -27,7 +27,8 @@ from app.settings import (
     [
         ("5mm", 0.005),
         ("0.5 mm", 0.0005),
-        ("0.005", 0.005),
+        ("0", 0.0),
+        ("-0.0", 0.0),
         (".5cm", 0.005),
         ("20um", 2e-5),
         ("20µm", 2e-5),
@@ -45,6 +46,30 @@ def test_what_is_no_length_says_how_to_write_one(text: str) -> None:
         parse_length(text)
     with pytest.raises(OptionError, match="write auto"):
         parse_radius(text)
+
+
+@pytest.mark.parametrize("text", ["5", "0.005", "-1", "1e-3", " 20 "])
+def test_a_length_without_a_unit_says_both_it_could_be(text: str) -> None:
+    number = text.strip()
+    for read in (parse_length, parse_radius, parse_corridor):
+        with pytest.raises(OptionError, match=rf"has no unit: write {number}mm .*{number}m "):
+            read(text)
+    with pytest.raises(OptionError, match="has no unit"):
+        parse_point(f"0,0,{text}")
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"), [("100mm/s", 0.1), ("0.1m/s", 0.1), ("2 m/s", 2.0), ("10cm/s", 0.1)]
+)
+def test_speeds(text: str, metres: float) -> None:
+    assert parse_speed(text) == pytest.approx(metres, rel=1e-12)
+    assert parse_speed(format_speed(metres)) == pytest.approx(metres, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["0.1", "100", "5mm", "m/s", "1mm/min", "1/s", "fast"])
+def test_what_is_no_speed_says_how_to_write_one(text: str) -> None:
+    with pytest.raises(OptionError, match=r"is not a speed: write .* such as 100mm/s"):
+        parse_speed(text)
 
 
 @given(st.floats(1e-7, 10.0))
@@ -80,7 +105,7 @@ def test_the_command_line_is_read() -> None:
     [
         ("radius", 0.5, "radius 500mm is outside 0.05mm to 20mm"),
         ("radius", math.nan, "radius nan is outside"),
-        ("rate", 0.0, "rate 0 is outside 10 to 20000"),
+        ("rate", 0.0, "rate 0 Hz is outside 10 Hz to 20000 Hz"),
         ("tip_radius", -1e-3, "tip_radius -1mm is outside 0mm to 5mm"),
         ("port", 70_000, "port 70000 is outside 0 to 65535"),
     ],

@@ -3,7 +3,8 @@
     python tests/browser/take_pictures.py docs [NAME ...]
 
 Each picture is what a user sees who does what the function of that name does. PNG with a palette,
-so that a picture stays small.
+so that a picture stays small. When all are taken, what page they are of is noted beside them
+(`pictured.py`), and tests/test_docs.py fails when the page is another one.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from pictured import write_record
 from PIL import Image
 from playwright.sync_api import sync_playwright
 from watching import Visitor, settle, wait_until
@@ -145,16 +147,22 @@ def take(browser: Any, picture: Callable[[Visitor, Session], None], path: Path) 
     small.save(path, optimize=True)
 
 
+def name_of(picture: Callable[[Visitor, Session], None]) -> str:
+    return picture.__name__.replace("_", "-")
+
+
 def main(folder: str, *names: str) -> None:
-    """Take the named pictures, or all."""
+    """Take the named pictures, or all and note of what page they are."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
         for picture in PICTURES:
-            name = picture.__name__.replace("_", "-")
+            name = name_of(picture)
             if not names or name in names:
                 take(browser, picture, Path(folder) / f"{name}.png")
                 print(name, flush=True)
         browser.close()
+    if not names:
+        write_record(Path(folder), [name_of(picture) for picture in PICTURES])
 
 
 if __name__ == "__main__":

@@ -49,7 +49,11 @@ class Door:
             refusal = self._too_many(connection)
         if refusal is not None:
             return _with_headers(connection.respond(*refusal))
-        response = theirs(connection, request)
+        try:
+            response = theirs(connection, request)
+        except (OSError, ValueError):
+            # viser looks for a file of that name: too long a one, or one with a NUL in it.
+            response = connection.respond(HTTPStatus.NOT_FOUND, "There is no such page.\n")
         if response is not None:
             _with_headers(response)
             if self._token is not None and self._shown_in_address(request):

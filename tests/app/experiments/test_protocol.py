@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -116,8 +117,8 @@ def test_the_report_holds_all_it_shows(outcomes: list[Outcome], tmp_path) -> Non
         ({"experiment": "sewing"}, "tracing, cutting"),
         ({"rule": "all"}, "off, certified, paper"),
         ({"mesh": "cube"}, "skull-fine"),
-        ({"noise": 1.0}, "0 to 5 mm"),
-        ({"rate": 1.0}, "50 to 5000"),
+        ({"noise": 1.0}, "0mm to 5mm"),
+        ({"rate": 1.0}, "50 Hz to 5000 Hz"),
         ({"seed": -1}, "seed"),
     ],
 )
@@ -129,3 +130,48 @@ def test_what_is_no_trial_is_refused(change: dict, word: str) -> None:
 def test_a_length_beyond_the_plan_is_refused() -> None:
     with pytest.raises(OptionError, match="30 mm"):
         site.build("skull-coarse", 0.05)
+
+
+WRONG = {
+    "trial": [[], {"experiment": "cutting"}],
+    "duration": [-1.0, 1e300, math.nan, "long"],
+    "finished": [1],
+    "sal": [1.0, math.nan],
+    "sparc": [-1e300],
+    "fre": [-1e-3, 5.0],
+    "tre": [math.inf],
+    "stations": [[], [[0.0], [1.0]], [[1e300]], [["0"]], 3],
+    "deviation": [[[2.0]], [[True]]],
+    "penetration": [[[math.nan]], None],
+    "removed": [-1.0, 2.0],
+    "crossings": [-1, 0.5],
+    "outside": [True],
+    "ticks": [10**400],
+    "statuses": [[], {"SOLVED": -1}, {"SOLVED": "x"}],
+    "submovements": [-1],
+    "corrections": [None],
+    "elapsed": [-1.0],
+    "driving": [math.inf],
+    "trajectory": [[[0.0, 0.0]], [[0.0, 0.0, 0.0, 1e300]], "x"],
+}
+
+
+def test_a_trial_s_file_is_checked_value_by_value() -> None:
+    sound = protocol.run(SHORT).to_json()
+    assert Outcome.from_json(sound).trial == SHORT
+    assert sorted(WRONG) == sorted(field.name for field in dataclasses.fields(Outcome))
+    for name, wrong in WRONG.items():
+        for value in wrong:
+            with pytest.raises(OptionError) as caught:
+                Outcome.from_json({**sound, name: value})
+            assert name in str(caught.value), (name, value)
+            assert "\n" not in str(caught.value)
+        with pytest.raises(OptionError, match=f"has no '{name}'"):
+            Outcome.from_json({key: value for key, value in sound.items() if key != name})
+    for field in dataclasses.fields(SHORT):
+        with pytest.raises(OptionError):
+            Outcome.from_json({**sound, "trial": {**sound["trial"], field.name: [1e300]}})
+    with pytest.raises(OptionError, match=r"unknown key 'colour'"):
+        Outcome.from_json({**sound, "colour": 1})
+    with pytest.raises(OptionError, match="must be a JSON object"):
+        Outcome.from_json([sound])

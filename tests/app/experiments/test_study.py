@@ -127,7 +127,7 @@ def test_experiments_from_the_command_line(tmp_path: Path, capsys) -> None:
         (experiment_command.main, ["sewing"], "tracing, cutting"),
         (experiment_command.main, ["cutting", "--rule", "all"], "certified, paper"),
         (experiment_command.main, ["tracing", "--mesh", "cube"], "skull-fine"),
-        (experiment_command.main, ["tracing", "--trials", "0"], "one or more"),
+        (experiment_command.main, ["tracing", "--trials", "0"], "trials 0 is outside 1 to 10000"),
         pytest.param(
             study_command.main,
             ["--scheduler", "tcp://127.0.0.1:9"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import socket
 from collections.abc import Callable
 
 import pytest
@@ -98,3 +99,30 @@ def test_a_token_lets_in_and_nothing_else_does(
     assert asked(page, Cookie=shown, upgrade=True, Origin="http://evil.example")[0] == 403
     assert "anybody" in page.warning
     assert token in page.warning
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/" + "x" * 256, "/" + "x" * 5000, "/" + "x" * 8150, "/" + "x" * 9000, "/" + "x" * 100_000,
+        "/" + "a/" * 3000, "/%00", "/index.html%00", "/%ff%fe", "/%F0%9F",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/..%5c..%5c", "/?" + "q=1&" * 1500, "/assets", "//", "/.", "/%", "/index.html/x",
+        "/\\..\\..", "/~root", "/%0d%0aX:%20y",
+    ],
+    ids=lambda path: path[:12] + str(len(path)),
+)  # fmt: skip
+def test_whatever_the_path_it_is_no_error_of_the_server(path: str, page: Page) -> None:
+    with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as wire:
+        wire.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode("latin-1"))
+        answer = b""
+        try:
+            while b"\r\n" not in answer and (part := wire.recv(4096)):
+                answer += part
+        except ConnectionResetError:
+            pass
+    status = answer.partition(b"\r\n")[0].decode()
+    if len(path) > 8192:
+        assert status == ""  # websockets does not read such a line to its end
+    else:
+        assert status.startswith(("HTTP/1.1 200", "HTTP/1.1 4")), (path[:40], status)

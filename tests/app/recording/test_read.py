@@ -114,6 +114,35 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["rule"] = ["certified"]
 
+    for option, setting, words in (
+        ("unit", "parsec", "unknown unit 'parsec': choose one of"),
+        ("rule", "soft", "unknown rule 'soft': choose one of certified"),
+        ("up", "w", "unknown axis 'w'"),
+        ("damage", "smashed", "unknown damage 'smashed'"),
+        ("robot", "r2d2", "unknown robot 'r2d2'"),
+        ("at", [0.0, 0.0, 1e300], "is more than 2 m from the origin"),
+        ("rotate", [1e298, 0.0, 0.0], "outside -720 to 720 degrees"),
+        ("seed", -1, "seed -1 is outside 0"),
+        ("rate", 1e300, "rate 1e.300 Hz is outside"),
+        ("force_gain", -1.0, "force_gain -1 N/m is outside"),
+    ):
+
+        @case(f"option: {option} {setting}", words)
+        def _(
+            header: dict[str, Any],
+            members: dict[str, bytes],
+            option: str = option,
+            setting: object = setting,
+        ) -> None:
+            for kind in ("plants", "places"):
+                header[kind][0]["options"][option] = setting
+
+    @case("scale", "orders/scale of row 1 is out of range")
+    def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
+        scale = np.load(io.BytesIO(members["orders/scale.npy"]))
+        scale[1] = 1e300
+        members["orders/scale.npy"] = npy(scale)
+
     @case("unknown option", "not those of a session")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["host"] = "0.0.0.0"
@@ -124,6 +153,8 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
         ("times", "soon", "not 1 to 1000 finite numbers"),
         ("points", [[0.0] * 3], "not 2 rows"),
         ("points", [[0.0] * 2] * 2, "not of three columns"),
+        ("times", [0.0, 1e300], "goes on for 1e.300 s, at most 600 s"),
+        ("points", [[0.0] * 3, [0.0, 0.0, 1e300]], "is more than 4 m from the base"),
         ("rotation", [[2.0, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation of a course"),
         ("rotation", [[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation of a course"),
     ):

@@ -1,0 +1,128 @@
+"""Lengths, places and turns as people write them, read and printed."""
+
+from __future__ import annotations
+
+import math
+import re
+
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254}
+_LENGTH = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµμ]*)")
+
+
+class OptionError(ValueError):
+    """A setting is not usable. The message names the value and what would be valid."""
+
+
+def parse_length(text: str) -> float:
+    """A length in metres from text such as `5mm`, `20um` or `0.2in`; of a bare number only 0.
+
+    A number without a unit is refused: the page shows millimetres, the library has metres.
+
+    Raises:
+        OptionError: the text is no length; the message says how to write one.
+    """
+    match = _LENGTH.fullmatch(text.strip())
+    if match is not None:
+        number, unit = float(match.group(1)), match.group(2)
+        if unit in _METRES:
+            return number * _METRES[unit]
+        if not unit and number == 0.0:
+            return 0.0
+        if not unit:
+            number_text = match.group(1)
+            raise OptionError(
+                f"'{text}' has no unit: write {number_text}mm for millimetres, {number_text}m for "
+                "metres (or cm, um, in)"
+            )
+    raise OptionError(
+        f"'{text}' is not a length: write a number and a unit (m, cm, mm, um, in), "
+        "such as 5mm, 0.5mm or 20um"
+    )
+
+
+def parse_radius(text: str) -> float | None:
+    """The motion sphere's radius [m]; None for `auto` (maximum tip speed times the tick)."""
+    if text.strip().lower() == "auto":
+        return None
+    try:
+        return parse_length(text)
+    except OptionError as error:
+        raise OptionError(f"{error}; or write auto") from None
+
+
+def parse_corridor(text: str) -> float | None:
+    """Half the corridor's width [m]; None for `off`."""
+    if text.strip().lower() == "off":
+        return None
+    try:
+        return parse_length(text)
+    except OptionError as error:
+        raise OptionError(f"{error}; or write off") from None
+
+
+def format_length(value: float | None) -> str:
+    """The shortest text that `parse_radius` reads back as the same length, in mm or um."""
+    if value is None:
+        return "auto"
+    for scale, unit in ((1e-3, "mm"), (1e-6, "um")):
+        if abs(value) >= 0.01 * scale or unit == "um" or value == 0.0:
+            return f"{value / scale:.6g}{unit}"
+    raise AssertionError("unreachable")
+
+
+def parse_speed(text: str) -> float:
+    """A speed [m/s] from text such as `100mm/s` or `0.1m/s`."""
+    length, slash, _ = text.strip().partition("/")
+    try:
+        if slash and text.strip().endswith("/s"):
+            return parse_length(length)
+    except OptionError:
+        pass
+    raise OptionError(f"'{text}' is not a speed: write a number and mm/s or m/s, such as 100mm/s")
+
+
+def format_speed(value: float) -> str:
+    """The text that `parse_speed` reads back as the same speed, in mm/s."""
+    return f"{value * 1e3:.6g}mm/s"
+
+
+def parse_point(text: str) -> tuple[float, float, float] | None:
+    """Three lengths [m] with commas between them, such as `0,-1cm,-12cm`; None for `auto`."""
+    if text.strip().lower() == "auto":
+        return None
+    words = text.split(",")
+    if len(words) != 3:
+        raise OptionError(
+            f"'{text}' is not a place: write x,y,z as three lengths without spaces, "
+            "such as 0,-1cm,-12cm; or write auto"
+        )
+    return parse_length(words[0]), parse_length(words[1]), parse_length(words[2])
+
+
+def format_point(value: tuple[float, float, float] | None) -> str:
+    """The text that `parse_point` reads back as the same place."""
+    return "auto" if value is None else ",".join(map(format_length, value))
+
+
+def parse_turn(text: str) -> tuple[float, float, float]:
+    """Three angles [rad] with commas between them, in degrees such as `0,0,90`, or as `1.2rad`."""
+    try:
+        x, y, z = map(_angle, text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise OptionError(
+            f"'{text}' is not a turn: write degrees about x,y,z as three numbers without spaces, "
+            "such as 0,0,90"
+        )
+    return x, y, z
+
+
+def _angle(word: str) -> float:
+    radians = word.removesuffix("rad")
+    return math.radians(float(word)) if radians == word else float(radians)
+
+
+def format_turn(value: tuple[float, float, float]) -> str:
+    """The text that `parse_turn` reads back as the same turn."""
+    return ",".join(f"{math.degrees(angle):.9g}" for angle in value)
