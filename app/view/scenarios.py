@@ -211,4 +211,5 @@ class ScenarioChoice:
         self._say(f"⏳ {text} …", palette.BLUE)
 
     def _say(self, text: str, color: palette.Rgb) -> None:
-        self._sentence.content = f"<div class='vf-sentence' style='{_STYLE};color:{palette.css(color)}'>{html.escape(text)}</div>"
+        style = f"{_STYLE};color:{palette.css(color)}"
+        self._sentence.content = f"<div class='vf-sentence' style='{style}'>{html.escape(text)}</div>"
