@@ -212,4 +212,5 @@ class ScenarioChoice:
 
     def _say(self, text: str, color: palette.Rgb) -> None:
         style = f"{_STYLE};color:{palette.css(color)}"
-        self._sentence.content = f"<div class='vf-sentence' style='{style}'>{html.escape(text)}</div>"
+        words = html.escape(text)
+        self._sentence.content = f"<div class='vf-sentence' style='{style}'>{words}</div>"
