@@ -211,6 +211,7 @@ class ScenarioChoice:
         self._say(f"⏳ {text} …", palette.BLUE)
 
     def _say(self, text: str, color: palette.Rgb) -> None:
+        style = f"{_STYLE};color:{palette.css(color)}"
         self._sentence.content = (
-            f"<div style='{_STYLE};color:{palette.css(color)}'>{html.escape(text)}</div>"
+            f"<div class='vf-sentence' style='{style}'>{html.escape(text)}</div>"
         )

@@ -36,6 +36,7 @@ _PHONE = """
   [style*="max-height: 60%"][style*="position: fixed"] [style*="width: 20em"] {
     width: 100% !important; }
   .vf-title { display: none; }
+  .vf-sentence { height: 2.7em !important; }
 }
 """
 
