@@ -228,7 +228,12 @@ class Controller:
 
     `step` depends on its arguments and the settings alone: a recorded run repeats bit for bit on
     the same machine. Not thread-safe (it owns solver workspaces, and its arm's).
+
+    Raises:
+        RuntimeError: a kernel gives a wrong answer on this machine, see `warm_up`.
     """
+
+    _warm = False  # whether this process has every kernel of a tick in memory
 
     def __init__(
         self, arm: Kinematics, fixtures: Sequence[Fixture], settings: Settings | None = None
@@ -273,11 +278,19 @@ class Controller:
         # ours led to is looked up; the answer is the same, only the time is not.
         self._known: tuple[bytes, tuple[bool, ...]] = (b"", ())
         self._keeps_side = all(fixture.certified for fixture in self.fixtures)
+        if not Controller._warm:
+            Controller._warm = True  # first: it makes controllers
+            try:
+                self.warm_up()
+            except RuntimeError:
+                Controller._warm = False
+                raise
 
     def warm_up(self) -> None:
         """Compile (or load from disk) every kernel a tick can meet, and check known answers.
 
-        Takes some 20 s on the first start of an installation, and a fraction of a second later.
+        The first controller of a process does this when it is made, so no tick has to. Takes some
+        20 s on the first start of an installation, and a fraction of a second later.
 
         Raises:
             RuntimeError: a kernel gives a wrong answer on this machine (`vf.check_kernels`).

@@ -23,7 +23,7 @@ def test_this_machine_passes() -> None:
     ],
 )
 def test_a_wrong_answer_ends_the_start_and_says_which(monkeypatch, name: str, wrong) -> None:
-    monkeypatch.setattr(selftest, name, wrong)
     controller = vf.Controller(robots.load("point"), [])
+    monkeypatch.setattr(selftest, name, wrong)
     with pytest.raises(RuntimeError, match=r"wrong answer for the .* instead of .*__pycache__"):
         controller.warm_up()
