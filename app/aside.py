@@ -319,7 +319,10 @@ def _main() -> None:
     # What libraries print must not get between the frames.
     stream = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=_PIPE)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    work, allowed = pickle.load(sys.stdin.buffer)
+    try:
+        work, allowed = pickle.load(sys.stdin.buffer)
+    except (EOFError, pickle.UnpicklingError):
+        os._exit(1)  # ended before the work was given
     _limit(allowed)
     try:
         try:
