@@ -113,6 +113,19 @@ def _height(normals, i, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def space(normals, points, first, last, x):  # type: ignore[no-untyped-def]
+    """How far x (3,) is in front of the nearest of the planes first … last − 1 [m], inf: none.
+
+    Seen from what gave the planes, their points (m, 3), not from where they stand.
+    """
+    least = np.inf
+    for i in range(first, last):
+        height = _height(normals, i, x) - _height(normals, i, points[i])
+        least = min(least, height)
+    return least
+
+
+@njit(cache=True)
 def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the planes; returns the nearest point's distance and the worst deficit.
 
@@ -160,23 +173,28 @@ def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, 
             break
     if moved:
         # No motion, or none that is found so soon, meets all requests. Averaged projections go to
-        # the middle between walls that ask for opposite things.
+        # the middle between walls that ask for opposite things, however many planes a wall has.
+        alike = np.ones(m)
+        for i in range(m):
+            for j in range(m):
+                if i != j and bounds[j] > 0.0:
+                    alike[i] += max(_height(normals, i, normals[j]), 0.0)
         v0 = v1 = v2 = 0.0
         for _ in range(SWEEPS):
-            g0 = g1 = g2 = 0.0
-            count = 0
+            g0 = g1 = g2 = total = 0.0
             for i in range(m):
                 gap = bounds[i] - (normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2)
                 if gap > 1e-10:
-                    g0 += gap * normals[i, 0]
-                    g1 += gap * normals[i, 1]
-                    g2 += gap * normals[i, 2]
-                    count += 1
-            if count == 0:
+                    weight = 1.0 / alike[i]
+                    g0 += weight * gap * normals[i, 0]
+                    g1 += weight * gap * normals[i, 1]
+                    g2 += weight * gap * normals[i, 2]
+                    total += weight
+            if total == 0.0:
                 break
-            v0 += g0 / count
-            v1 += g1 / count
-            v2 += g2 / count
+            v0 += g0 / total
+            v1 += g1 / total
+            v2 += g2 / total
     share = 1.0
     for i in range(m):
         gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
