@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vf import problem
 from vf.corridor import CorridorFixture
-from vf.cover import BUDGET, Buffer
+from vf.cover import BUDGET, YIELD, Buffer
 from vf.fixtures import ON_SURFACE, RULES, Filling, Fixture, MeshFixture
 from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes
@@ -318,7 +318,7 @@ class Controller:
                     state = controller.step(state, goal).q
         along = np.array([0.01, 0.0, 0.0])
         walls = CorridorFixture([T.translation - along, T.translation + along], [0.0, 0.0, -1.0])
-        Controller(self.arm, [walls], self.settings).step(q, T)
+        Controller(self.arm, [walls, walls], self.settings).step(q, T)
         self.step(q, T)
 
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:
@@ -458,14 +458,27 @@ class Controller:
         """
         if len(self._filling) < len(self.fixtures):
             return None
-        s, m, reach = self.settings, 0, radius
-        for fixture in self._filling:
-            found = fixture.fill(self._buffer, m, x, radius, s.standoff, s.tip_radius)
-            if found is None:
-                return None
-            m += found[0]
-            reach = min(reach, found[1])
-        return m, reach
+        s, buffer = self.settings, self._buffer
+        standoff = s.standoff
+        while True:
+            m, reach = 0, radius
+            spaces = []
+            for fixture in self._filling:
+                found = fixture.fill(buffer, m, x, radius, standoff, s.tip_radius)
+                if found is None:
+                    return None
+                if len(self._filling) > 1:
+                    space = problem.space(buffer.normals, buffer.points, m, m + found[0], x)
+                    spaces.append(space - s.tip_radius)
+                m += found[0]
+                reach = min(reach, found[1])
+            # Between two fixtures, below the standoff of both: as near to the farther one as to the
+            # nearer one, like between two walls of one fixture.
+            if standoff < s.standoff or sum(space < standoff for space in spaces) < 2:
+                return m, reach
+            standoff = min(spaces)
+            if not standoff > YIELD:
+                return m, reach
 
     def _planes(self, x: FloatArray, radius: float, inside: tuple[bool, ...]) -> Planes:
         """What all fixtures say, together."""

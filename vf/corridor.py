@@ -443,7 +443,10 @@ def _planes(  # type: ignore[no-untyped-def]
             # The tip overlaps the wall where there is no space: the claim is then about its centre.
             clear = space if space > HAIR else space + tip_radius
             stand = nx * x + ny * y - min(YIELD, YIELD_SHARE * max(clear, 0.0))
-            offsets[m] = min(base + tip_radius + max(standoff, HAIR), stand)
+            kept = standoff
+            if space < standoff and room - tip_radius > HAIR:
+                kept = min(room - tip_radius, standoff)  # to the middle, as in `vf.cover`
+            offsets[m] = min(base + tip_radius + max(kept, HAIR), stand)
             limits[m] = base + 1e-14
             floors[m] = limits[m] + (tip_radius if space > HAIR else 0.0)
             flat[m, 0], flat[m, 1] = nx, ny

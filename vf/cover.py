@@ -365,6 +365,9 @@ def _cover(  # type: ignore[no-untyped-def]
     m = 0
     valid = radius
     size = 0
+    # How near the tip's centre may come to anything: no nearer than it is, or the tip's radius.
+    deepest = tip_radius
+    nearest = 0.0  # space between the tip and what is nearest
     # The nearest of what was just opened is often the nearest of all: it need not queue.
     next2 = box_distance2(nodes, 0, x, y, z)
     next_item = 0
@@ -394,7 +397,7 @@ def _cover(  # type: ignore[no-untyped-def]
             else:
                 first, last = triangles_of(link)
             if size + last - first >= HEAP:
-                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - tip_radius, 0.0)
+                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
                 break
             for entry in range(first, last):
                 if link > 0.0:
@@ -436,7 +439,7 @@ def _cover(  # type: ignore[no-untyped-def]
         if rest2 > reach2 and not _polygon_within(rest, corners_left, x, y, z, reach):
             continue
         if m == budget:
-            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - tip_radius, 0.0)
+            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = _separate(
             corners,
@@ -467,19 +470,28 @@ def _cover(  # type: ignore[no-untyped-def]
             break
         low = base + 4.0 * rounding
         space = clear - tip_radius
+        if m == 0:
+            deepest = min(tip_radius, clear)
+            nearest = space
         if space > faint:
-            kept = min(space, max(standoff, faint))
+            kept = max(standoff, faint)
+            if space < kept:
+                # Below the standoff a tool between two walls may go as near to the farther one as
+                # it is to the nearer one: it keeps to the middle.
+                kept = min(space, max(nearest, faint))
             ease = EASE * m * (space - kept)
             offset = min(base + tip_radius + kept + ease, room - min(YIELD, YIELD_SHARE * space))
             limits[m] = max(base + BUMP * kept + ease, low)
             bumps[m] = min(BUMP * kept, limits[m] - low)
             floors[m] = limits[m] + tip_radius
         else:
-            # The tip overlaps the triangle: what can be promised is about its centre.
-            offset = room - min(YIELD, YIELD_SHARE * clear)
-            limits[m] = low
+            # The tip overlaps the triangle: what can be promised is about its centre, and that it
+            # comes no nearer to anything than it is to the nearest.
+            kept = max(deepest, 0.5 * faint)
+            offset = room - min(YIELD, YIELD_SHARE * kept)
+            limits[m] = max(low, room - kept)
             bumps[m] = 0.0
-            floors[m] = low
+            floors[m] = limits[m]
         normals[m, 0], normals[m, 1], normals[m, 2] = nx, ny, nz
         offsets[m] = offset
         points[m, 0], points[m, 1], points[m, 2] = px, py, pz

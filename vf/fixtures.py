@@ -155,13 +155,24 @@ class MeshFixture:
     def _hop(self, x: FloatArray, distance: float, triangle: int) -> float:
         """How far a step from x (3,) may go that passes the nearest surface and nothing else.
 
-        What hangs together with the nearest triangle within that ball is passed with it: the
-        surface there is one sheet.
+        What hangs together with the nearest triangle within that ball, and has x on the same side,
+        is passed with it: the surface there is one sheet, and a segment from x that came out
+        through it meets none of it again. Of a sheet that folds back, the part that x is in front
+        of stands in the way. Only under an inner edge, where that part is no farther than the
+        nearest triangle, does it not.
         """
-        found = self.surface.within(x, 2.0 * distance + 0.1 * HOP)
+        ball = 2.0 * distance + 0.1 * HOP
+        found = self.surface.within(x, ball)
         pieces = _pieces(self.surface, found)
-        others = found.distances[pieces != pieces[found.triangles == triangle][0]]
-        return 0.99 * float(min(others.min(initial=np.inf), 2.0 * distance + 0.1 * HOP))
+        nearest = found.triangles == triangle
+        corner = self.surface.vertices[self.surface.faces[found.triangles, 0]]
+        heights = ((x - corner) * self.surface.normals[found.triangles]).sum(axis=1)
+        apart = pieces != pieces[nearest][0]
+        back = heights * heights[nearest][0] < 0.0
+        reach = float(min(found.distances[apart | back].min(initial=np.inf), ball))
+        if distance < 10.0 * ON_SURFACE and 0.99 * reach < distance + 2.0 * ON_SURFACE:
+            reach = float(min(found.distances[apart].min(initial=np.inf), ball))
+        return 0.99 * reach
 
     def _lifted(
         self, held: Planes, x: FloatArray, radius: float, standoff: float, tip_radius: float

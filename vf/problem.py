@@ -107,12 +107,32 @@ def _prepare(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _height(normals, i, x):  # type: ignore[no-untyped-def]
+    """n·x of plane i [m]."""
+    return normals[i, 0] * x[0] + normals[i, 1] * x[1] + normals[i, 2] * x[2]
+
+
+@njit(cache=True)
+def space(normals, points, first, last, x):  # type: ignore[no-untyped-def]
+    """How far x (3,) is in front of the nearest of the planes first … last − 1 [m], inf: none.
+
+    Seen from what gave the planes, their points (m, 3), not from where they stand.
+    """
+    least = np.inf
+    for i in range(first, last):
+        height = _height(normals, i, x) - _height(normals, i, points[i])
+        least = min(least, height)
+    return least
+
+
+@njit(cache=True)
 def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the planes; returns the nearest point's distance and the worst deficit.
 
     A tool below the standoff is asked to come out by a share of what is missing. Walls closer than
     two standoffs cannot both be obeyed, so the requests are first reconciled in the tip's space:
-    alternating projections give a motion v, and no row asks for more than v does.
+    projections give a motion v, and no row asks for more than v does. Towards the farther of two
+    such walls v may go as far as its plane lets it.
     """
     n = J.shape[1]
     nearest = np.inf
@@ -151,18 +171,44 @@ def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, 
                 moved = True
         if not moved:
             break
+    if moved:
+        # No motion, or none that is found so soon, meets all requests. Averaged projections go to
+        # the middle between walls that ask for opposite things, however many planes a wall has.
+        alike = np.ones(m)
+        for i in range(m):
+            for j in range(m):
+                if i != j and bounds[j] > 0.0:
+                    alike[i] += max(_height(normals, i, normals[j]), 0.0)
+        v0 = v1 = v2 = 0.0
+        for _ in range(SWEEPS):
+            g0 = g1 = g2 = total = 0.0
+            for i in range(m):
+                gap = bounds[i] - (normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2)
+                if gap > 1e-10:
+                    weight = 1.0 / alike[i]
+                    g0 += weight * gap * normals[i, 0]
+                    g1 += weight * gap * normals[i, 1]
+                    g2 += weight * gap * normals[i, 2]
+                    total += weight
+            if total == 0.0:
+                break
+            v0 += g0 / total
+            v1 += g1 / total
+            v2 += g2 / total
     share = 1.0
     for i in range(m):
         gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
-        if gain < bounds[i]:
-            if bounds[i] < 0.0:
-                share = min(share, bounds[i] / gain)
-            elif gain < 0.0:
-                share = 0.0
+        if gain < min(bounds[i], 0.0):
+            # Half of the room there is, as the tip's path is not straight.
+            room = bounds[i]
+            if room > 0.0:
+                room = 0.5 * (offsets[i] - _height(normals, i, x))
+            if gain < room:
+                share = min(share, max(room / gain, 0.0))
     for i in range(m):
         if bounds[i] > 0.0:
             gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
-            bounds[i] = min(bounds[i], max(share * gain, 0.0))
+            bounds[i] = min(bounds[i], share * gain)
     return nearest, deficit
 
 

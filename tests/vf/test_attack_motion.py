@@ -200,3 +200,41 @@ def test_a_tool_in_a_narrow_slot_can_always_slide(name: str) -> None:
 def test_a_tool_in_any_slot_can_always_slide(name: str, tip_radius: float) -> None:
     for seed in range(60):
         slides_everywhere(name, seed, tip_radius)
+
+
+@pytest.mark.parametrize("walls", ["one mesh", "two meshes", "mesh and corridor", "corridor"])
+@pytest.mark.parametrize("name", ["psm", "panda"])
+def test_a_tool_pressed_on_a_wall_of_a_narrow_slot_does_not_creep_to_it(
+    name: str, walls: str
+) -> None:
+    """Ticks may leave a plane by 10 nm: from the middle that would be at the wall after 500."""
+    rng = np.random.default_rng(3)
+    turn = turned(rng)
+    arm = robots.load(name)
+    q = np.array(arm.neutral)
+    T = arm.tip(q)
+    gap = 1e-5
+    plates = slot(gap) @ turn.T + T.translation
+    ends = T.translation + np.array([-0.03, 0.03])[:, None] * turn[:, 0]
+    corridor = vf.CorridorFixture(ends, turn[:, 1], width=0.5 * gap)
+    low, high = vf.MeshFixture(exact.soup(plates[:2])), vf.MeshFixture(exact.soup(plates[2:]))
+    fixtures: dict[str, list[vf.Fixture]] = {
+        "one mesh": [vf.MeshFixture(exact.soup(plates))],
+        "two meshes": [low, high],
+        "mesh and corridor": [low, corridor],
+        "corridor": [corridor],
+    }
+    controller = vf.Controller(arm, fixtures[walls])
+    highest = gone = 0.0
+    for k in range(1200):
+        if k % 200 == 0:
+            way = turn @ np.array([*rng.normal(size=2) * 4e-3, -3e-3])
+            rotation = pin.exp3(rng.normal(size=3) * 0.2) @ T.rotation
+        step = controller.step(q, pin.SE3(rotation, T.translation + way))
+        assert step.status is not vf.Status.HELD
+        if k >= 1000:
+            gone += float(np.linalg.norm(step.tip.translation - arm.tip(q).translation))
+        q = step.q
+        highest = max(highest, abs(float((step.tip.translation - T.translation) @ turn[:, 2])))
+    assert highest < 0.4 * gap
+    assert gone > 1e-3  # and slides as well as ever

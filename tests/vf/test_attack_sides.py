@@ -134,3 +134,54 @@ def test_the_way_out_is_still_a_way_out() -> None:
             assert end[2] > 20e-6 - 1e-6
             assert statuses[-1] is not vf.Status.INSIDE
             assert all(t < len(BOX_FACES) for t in crossed)
+
+
+def cells(
+    filled: set[tuple[int, int]], xs: list[float], zs: list[float], half: float
+) -> vf.Surface:
+    """The surface of a prism along y whose profile is the filled cells of a grid: one piece."""
+    corners = np.array([[x, y, z] for x in xs for y in (-half, half) for z in zs])
+    faces = []
+
+    def at(i: int, j: int, k: int) -> int:
+        return (2 * i + j) * len(zs) + k
+
+    def quad(a: int, b: int, c: int, d: int) -> None:
+        faces.extend([[a, b, c], [a, c, d]])
+
+    for i, k in filled:
+        low, high = (i, k), (i + 1, k + 1)
+        quad(*(at(p, 0, r) for p, r in (low, (i + 1, k), high, (i, k + 1))))
+        quad(*(at(p, 1, r) for p, r in (low, (i, k + 1), high, (i + 1, k))))
+        for beside, a, b in (
+            ((i, k - 1), low, (i + 1, k)), ((i + 1, k), (i + 1, k), high),
+            ((i, k + 1), high, (i, k + 1)), ((i - 1, k), (i, k + 1), low),
+        ):  # fmt: skip
+            if beside not in filled:
+                quad(at(a[0], 0, a[1]), at(a[0], 1, a[1]), at(b[0], 1, b[1]), at(b[0], 0, b[1]))
+    return vf.Surface.from_arrays(corners, faces)
+
+
+@pytest.mark.parametrize("tip", [0.0, 5e-4])
+@pytest.mark.parametrize(("gap", "thick"), [(1e-6, 1e-6), (5e-6, 2e-6), (2e-6, 1e-5), (1e-7, 1e-7)])
+def test_a_tick_on_the_way_out_passes_a_sheet_that_folds_back_only_once(
+    gap: float, thick: float, tip: float
+) -> None:
+    """Below a flap of the same body, near the root where both hang together."""
+    flap = {(0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2)}
+    xs, zs = [-5e-3, -4 * gap, 0.0, 5e-3], [-5e-3, 0.0, gap, gap + thick]
+    surface = cells(flap, xs, zs, 4e-3)
+    assert surface.closed
+    triangles = exact.triangles_of(surface)
+    arm = robots.load("point")
+    controller = vf.Controller(arm, [vf.MeshFixture(surface)], vf.Settings(tip_radius=tip))
+    for depth in (1e-7, 1e-6, 5e-6):
+        for aside in (0.5 * gap, 3.0 * gap, 2e-6, 1e-5):
+            q = np.array([aside, 1e-3, -depth])
+            for _ in range(10):
+                new = controller.step(q, pin.SE3(STRAIGHT, q + np.array([0.0, 0.0, 5e-3]))).q
+                crossed = triangles[exact.crossed(triangles, q, new)] if (new != q).any() else []
+                heights = {t[0, 2] for t in crossed if np.ptp(t[:, 2]) == 0.0}
+                assert len(heights) <= 1, f"{depth} m deep, {aside} m from the root"
+                q = new
+            assert q[2] > -1e-8 or aside < gap  # and out it comes

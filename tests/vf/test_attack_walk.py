@@ -113,3 +113,40 @@ def test_a_cavity_smaller_than_the_standoff_is_no_more_than_a_walk_may_take() ->
         most = max(most, m)
         assert exact.leaking(triangles, buffer.cut(m, reach), x).size == 0
     assert most > 10
+
+
+def bowl() -> vf.Surface:
+    """Half a sphere of 8 mm, finely faceted, around the origin and open upwards."""
+    ball = trimesh.creation.icosphere(4, 8e-3)
+    return vf.Surface.from_arrays(ball.vertices, ball.faces[ball.triangles_center[:, 2] < 0.0])
+
+
+def test_a_tip_that_overlaps_more_facets_than_there_may_be_planes_is_led_out() -> None:
+    controller = vf.Controller(
+        robots.load("point"), [vf.MeshFixture(bowl())], vf.Settings(tip_radius=6e-3)
+    )
+    start = np.array([1e-5, 2e-5, -2.1e-3])  # 0.1 mm too deep
+    q = start
+    for _ in range(30):
+        q = controller.step(q, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.01]))).q
+    assert q[2] > start[2] + 1e-3
+
+
+def test_a_step_of_an_overlapping_tip_meets_nothing_and_goes_no_deeper() -> None:
+    rng = np.random.default_rng(8)
+    surface = bowl()
+    triangles = exact.triangles_of(surface)
+    for _ in range(60):
+        x = rng.normal(size=3) * 2e-3
+        distance = surface.nearest(x)[0]
+        tip = distance * (1.0 + 10.0 ** rng.uniform(-4.0, 0.0))
+        planes = vf.certified_planes(surface, x, distance, 20e-6, tip)
+        assert exact.leaking(triangles, planes, x).size == 0  # of the centre
+        assert planes.floors is not None
+        assert (planes.floors < planes.offsets).all()
+        for y in x + rng.normal(size=(30, 3)) * 0.3 * planes.radius:
+            for _ in range(3):
+                slack = planes.slack(y)
+                y = y - 1.000001 * min(slack.min(), 0.0) * planes.normals[slack.argmin()]
+            if exact.obeys(planes, x, y):
+                assert surface.nearest(y)[0] > distance - 1.1e-8
