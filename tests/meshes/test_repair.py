@@ -128,7 +128,7 @@ def test_what_cannot_be_mended_is_left_and_told() -> None:
     assert any(f"{loops:,} boundary loops" in line for line in result.changes.left)
     wings = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]) * 1e-2
     result = repair(wings, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
-    assert any("1 edges with more than two faces" in line for line in result.changes.left)
+    assert any("1 edge with more than two faces" in line for line in result.changes.left)
     assert len(result.faces) == 3
     line = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]]) * 1e-2
     result = repair(line, np.array([[0, 1, 2], [0, 0, 1]]))
