@@ -16,8 +16,7 @@ _OPPOSITE = -0.866
 # Solid kernels place cut points to about a 1e-12th of the size: what is shallower only touches.
 _TOUCH = 1e-11
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-# Of `effort`: whether two triangles cut each other, and what is made of a pair later.
-_CUT, _PAIR = 5, 10
+_PAIR = 20  # of `effort`: what is found takes longer than what is ruled out
 
 
 def effort(faces: int) -> int:
@@ -102,7 +101,7 @@ def _intersections(vertices, corners, tree, rows, touch, row, left, pairs, found
                     depth += 1
                 continue
             first, last = triangles_of(link)
-            left -= _CUT * (last - first)
+            left -= last - first
             for t in range(first, last):
                 g = tree.order[t]
                 if g == f:
