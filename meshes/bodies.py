@@ -39,6 +39,8 @@ class Bodies:
             turn with it.
         enclosed: [m³] of all places where the closed bodies' winding numbers do not cancel: their
             volumes, cavities taken off, and what lies inside twice counted once. Never negative.
+        known: what lies inside what. Where so much overlaps that it would take too long, no body
+            counts as in another one or as inside out, and ``enclosed`` is nan.
     """
 
     patches: IntArray
@@ -48,6 +50,7 @@ class Bodies:
     inside_out: Flags
     along: Flags
     enclosed: float
+    known: bool = True
 
     @property
     def turned(self) -> Flags:
@@ -79,6 +82,23 @@ def bodies(vertices: FloatArray, faces: IntArray, topology: Topology) -> Bodies:
             float(np.abs(volumes).sum()),
         )  # fmt: skip
     rays = _Rays(vertices, faces, shells)
+    try:
+        return _nested(rays, topology, patches, volumes, along, bool(open_.any()))
+    except probe.TooMuch:
+        no = np.zeros(count, dtype=bool)
+        return Bodies(patches, volumes, np.arange(count), no, no, along, float("nan"), known=False)
+
+
+def _nested(
+    rays: _Rays,
+    topology: Topology,
+    patches: IntArray,
+    volumes: FloatArray,
+    along: Flags,
+    any_open: bool,
+) -> Bodies:
+    """The bodies where there may be some in others. Raises `probe.TooMuch`."""
+    count = len(patches)
     inner, outer, in_open = rays.around_bodies(count)
     depth = np.bincount(inner, minlength=count)
     outermost = np.arange(count)
@@ -92,7 +112,7 @@ def bodies(vertices: FloatArray, faces: IntArray, topology: Topology) -> Bodies:
     enclosed = np.abs(volumes) @ (
         (beyond + sign != 0.0).astype(float) - (beyond != 0.0).astype(float)
     )
-    if inside_out.any() and open_.any():
+    if inside_out.any() and any_open:
         loose = np.flatnonzero(~topology.closed)
         own = np.flatnonzero(inside_out & (outermost == np.arange(count)))
         along[loose] = rays.inside(loose, topology.patches, own)
@@ -105,6 +125,7 @@ class _Rays:
     def __init__(self, vertices: FloatArray, faces: IntArray, shells: IntArray) -> None:
         self._vertices, self._faces = vertices, faces
         self._shells = shells
+        self._left = 4 * probe.effort(len(faces))  # rays are quick, and the answer is needed whole
         self._tree = pdtree.build(vertices, faces)
         turn = np.pi * (1.0 + 5.0**0.5) * np.arange(_RAYS)
         height = 1.0 - (2.0 * np.arange(_RAYS) + 1.0) / _RAYS
@@ -166,7 +187,10 @@ class _Rays:
         # From an odd point of the face, so that drawn parts' straight edges are missed.
         corners = self._vertices[self._faces[faces]]
         starts = np.einsum("k,nkd->nd", np.array([0.4142, 0.2679, 0.3179]), corners)
-        return probe.crossings(self._tree, self._shells, starts, self._directions[ray], own)
+        pairs, self._left = probe.crossings(
+            self._tree, self._shells, starts, self._directions[ray], own, self._left
+        )
+        return pairs
 
 
 @njit(cache=True, nogil=True)

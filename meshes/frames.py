@@ -18,21 +18,25 @@ from meshes.errors import MeshError
 
 FRAMES = ("RAS", "LPS")
 
-_SPACE = re.compile(r"\bSPACE\s*=\s*(RAS|LPS)\b", re.IGNORECASE)
+_SPACE = re.compile(r"\bSPACE\s*=\s*([RL][AP][SI])\b", re.IGNORECASE)
 
 
 def in_text(text: bytes | str) -> str | None:
     """The frame that a header or comment names as 3D Slicer does, `SPACE=RAS` or `SPACE=LPS`.
 
     Raises:
-        MeshError: it names both.
+        MeshError: it names both, or another one.
     """
     if isinstance(text, bytes):
         text = text.decode("latin-1")
     found = {match.upper() for match in _SPACE.findall(text)}
     if len(found) > 1:
-        raise MeshError("says SPACE=RAS and SPACE=LPS: which of them it is cannot be told")
-    return found.pop() if found else None
+        both = " and ".join(f"SPACE={frame}" for frame in sorted(found, reverse=True))
+        raise MeshError(f"says {both}: which of them it is cannot be told")
+    frame = found.pop() if found else None
+    if frame not in (None, *FRAMES):
+        raise MeshError(f"says SPACE={frame}: only {' and '.join(FRAMES)} are read")
+    return frame
 
 
 def tag(frame: str) -> str:

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from meshes import probe
 from meshes.bodies import Bodies, bodies
 from meshes.errors import MeshError
+from meshes.meaning import MEANING
+from meshes.text import worded
 from meshes.topology import Topology, topology
 from meshes.weld import first_of_kind, weld
 from vf import Surface, pdtree
@@ -28,37 +30,6 @@ SLIM = 0.01
 PERCENTILES = (0, 5, 50, 95, 100)
 THIN = 1e-4  # [m] a wall that a hand's tremor, or one bad tick of a weak rule, is through
 EXAMINED = 50_000
-
-MEANING = {
-    "unused vertices": "no rule looks at them; they only cost memory",
-    "repeated vertices": "faces on them are not neighbours: the paper's rule leaks at such seams; "
-    "the certified rule and the inside test do not mind",
-    "near vertices": "if they are meant to be one, the seam between them leaks under the paper's "
-    "rule and leaves the mesh without an inside; the certified rule still holds",
-    "degenerate faces": "they have no normal: the paper's rule passes them over; the certified "
-    "rule guards them by their nearest point",
-    "duplicate faces": "their edges have more than two faces, where the paper's rule knows no "
-    "neighbour; the certified rule and the inside test count them once",
-    "slivers": "their normals are imprecise: the paper's rule may put a plane askew; the certified "
-    "rule checks a plane against the corners first",
-    "boundary loops": "the mesh has no inside: every rule guards what is there, the paper's from "
-    "its outer side only, the certified one from both; nothing reports a tool that starts inside",
-    "non-manifold edges": "the paper's conditions need one neighbour on each edge and are blind "
-    "here; the certified rule needs none",
-    "pinched vertices": "no rule needs them apart; some repair and remeshing programs do",
-    "flipped faces": "the paper's rule guards the wrong side of them and lets the tool through; "
-    "the certified rule does not ask for the winding, but the inside test is off",
-    "inside-out bodies": "the paper's rule and every face plane guard the wrong side; the "
-    "certified rule and the inside test do not ask",
-    "one-sided patches": "no winding is right everywhere: only the certified rule guards "
-    "both sides",
-    "nested bodies": "a cavity or a body of its own, as its winding says, also where the wall "
-    "around it has a hole or a fin; the inside test follows the winding",
-    "self-intersections": "the inside test counts overlaps twice (still inside); the paper's rule "
-    "may leak along the cut, which no edge marks; the certified rule holds",
-    "thin walls": "with the paper's rule an error of that size is a way through; the certified "
-    "rule checks every step and holds",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -211,12 +182,17 @@ def health(
     ) -> None:
         count = len(ids) if n < 0 else n
         if count:
-            found.append(Finding(kind, count, defect, text.format(n=f"{count:,}"), of, ids))
+            found.append(Finding(kind, count, defect, worded(text, count), of, ids))
 
     say("vertices")
     used = np.zeros(len(v), dtype=bool)
     used[f] = True
-    note("unused vertices", np.flatnonzero(~used), "{n} vertices are in no face", "vertices")
+    note(
+        "unused vertices",
+        np.flatnonzero(~used),
+        "{n} [vertex is|vertices are] in no face",
+        "vertices",
+    )
     rows = np.flatnonzero(used)
     diagonal = float(np.linalg.norm(np.ptp(v[rows], axis=0)))
     stands_for, distance = weld(v[rows], NEAR * diagonal)
@@ -224,11 +200,12 @@ def health(
     repeated, near = joined & (distance == 0.0), joined & (distance > 0.0)
     note(
         "repeated vertices", rows[repeated],
-        "{n} vertices repeat the place of another (unwelded)", "vertices",
+        "{n} [vertex repeats|vertices repeat] the place of another (unwelded)", "vertices",
     )  # fmt: skip
     note(
         "near vertices", rows[near],
-        f"{{n}} vertices are within {NEAR * diagonal * 1e6:.2g} µm of another", "vertices",
+        f"{{n}} [vertex is|vertices are] within {NEAR * diagonal * 1e6:.2g} µm of another",
+        "vertices",
     )  # fmt: skip
     welded = np.arange(len(v))
     welded[rows] = rows[stands_for]
@@ -241,11 +218,25 @@ def health(
     corners = place[f]
     collapsed = _repeats_a_corner(corners)
     degenerate = collapsed | (slimness <= SLIVER)
-    note("degenerate faces", np.flatnonzero(degenerate), "{n} faces have no area", defect=True)
+    note(
+        "degenerate faces",
+        np.flatnonzero(degenerate),
+        "{n} [face has|faces have] no area",
+        defect=True,
+    )
     copies = (first_of_kind(corners) != np.arange(len(f))) & ~collapsed
-    note("duplicate faces", np.flatnonzero(copies), "{n} faces repeat another", defect=True)
+    note(
+        "duplicate faces",
+        np.flatnonzero(copies),
+        "{n} [face repeats|faces repeat] another",
+        defect=True,
+    )
     slim = ~degenerate & (slimness < SLIM)
-    note("slivers", np.flatnonzero(slim), f"{{n}} faces are slimmer than 1 : {1 / SLIM:.0f}")
+    note(
+        "slivers",
+        np.flatnonzero(slim),
+        f"{{n}} [face is|faces are] slimmer than 1 : {1 / SLIM:.0f}",
+    )
 
     say("edges")
     proper = np.flatnonzero(~_repeats_a_corner(f) & ~copies)
@@ -258,26 +249,35 @@ def health(
     if examine:
         say("self-intersections and walls")
         tree = mesh.tree if isinstance(mesh, Surface) else pdtree.build(v, f)
-        examined = min(examine, len(f))
-        sample = np.unique(np.linspace(0, len(f) - 1, examined).astype(np.int64))
-        pairs = probe.intersections(v, corners, tree, sample)
+        wanted = min(examine, len(f))
+        sample = probe.spread(np.unique(np.linspace(0, len(f) - 1, wanted).astype(np.int64)))
+        pairs, examined = probe.intersections(v, corners, tree, sample)
+        sample = sample[:examined]
         # A face that stands for its copies; from either side a pair is one.
         pairs = np.sort(pairs[~copies[pairs].any(axis=1)], axis=1)
         pairs = np.unique(pairs, axis=0)
-        how = "all faces" if examined == len(f) else f"{examined:,} sampled faces"
-        note(
-            "self-intersections", np.unique(pairs), f"{{n}} pairs of faces cut each other ({how})",
-            defect=True, n=len(pairs),
-        )  # fmt: skip
         outward = normals.copy()
         outward[proper[t.minority ^ solid.turned[t.patches]]] *= -1.0
         outward[degenerate | slim] = 0.0  # imprecise
-        thickness = probe.walls(v, corners, outward, tree, sample)
+        thickness, examined = probe.walls(v, corners, outward, tree, sample)
+        how = "all faces" if examined == len(f) else f"{examined:,} sampled faces"
+        note(
+            "self-intersections", np.unique(pairs),
+            f"{{n}} [pair|pairs] of faces cut each other ({how})", defect=True, n=len(pairs),
+        )  # fmt: skip
         if np.isfinite(thickness).any():
             wall, wall_face = float(thickness.min()), int(sample[thickness.argmin()])
-        thin = sample[thickness < THIN]
+        thin = np.sort(sample[thickness < THIN])
         shown = f"{wall * 1e6:.3g} µm" if wall is not None else ""
-        note("thin walls", thin, f"{{n}} faces of walls under 0.1 mm, down to {shown} ({how})")
+        note(
+            "thin walls", thin, f"{{n}} [face|faces] of walls under 0.1 mm, down to {shown} ({how})"
+        )
+        if examined < wanted:
+            note(
+                "crowded faces", np.empty(0, dtype=np.int64),
+                f"so many faces are near each other that only {{n}} of {len(f):,} "
+                "[was|were] looked at for self-intersections and walls", n=examined,
+            )  # fmt: skip
 
     watertight = not (t.rim_edges or t.crowded_edges or len(proper) < len(f))
     consistent = not (t.minority.any() or t.one_sided.any())
@@ -291,7 +291,7 @@ def health(
         components=int(t.components.max(initial=-1)) + 1,
         genus=t.genus,
         area=float(areas[~copies].sum()),
-        volume=solid.enclosed if watertight and consistent else None,
+        volume=solid.enclosed if watertight and consistent and solid.known else None,
         edge_percentiles=tuple(np.percentile(lengths, PERCENTILES).tolist()),
         boundary_lengths=tuple(np.sort(loop_lengths)[::-1].tolist()),
         wall=wall,
@@ -333,30 +333,45 @@ def _note_edges(
 ) -> None:
     """The findings about edges, winding and bodies."""
     if len(loop_lengths):
-        text = f"{{n}} boundary loops, {loop_lengths.sum() * 1e3:.4g} mm in all"
+        text = f"{{n}} boundary [loop|loops], {loop_lengths.sum() * 1e3:.4g} mm in all"
         if welded is not None:
             joined = welded[f[proper]]
             joined = joined[~_repeats_a_corner(joined)]
             after = len(topology(joined, len(v)).rim_starts) - 1 if len(joined) else 0
-            text += f"; {after:,} are left once near vertices are welded"
+            text += (
+                f"; {after:,} {'is' if after == 1 else 'are'} left once near vertices are welded"
+            )
         rim = t.rim[t.mates[t.rim] == -1]
         note("boundary loops", _ends(f, proper, rim), text, "edges", True, len(loop_lengths))
     note(
-        "non-manifold edges", _ends(f, proper, t.crowded), "{n} edges have more than two faces",
-        "edges", True,
+        "non-manifold edges", _ends(f, proper, t.crowded),
+        "{n} [edge has|edges have] more than two faces", "edges", True,
     )  # fmt: skip
-    note("pinched vertices", t.pinched, "{n} vertices join sheets that share no edge", "vertices")
+    note(
+        "pinched vertices",
+        t.pinched,
+        "{n} [vertex joins|vertices join] sheets that share no edge",
+        "vertices",
+    )
     note(
         "flipped faces", proper[t.minority],
-        "{n} faces are wound against their surroundings", defect=True,
+        "{n} [face is|faces are] wound against [its|their] surroundings", defect=True,
     )  # fmt: skip
+    if not solid.known:
+        note(
+            "undecided bodies", np.empty(0, dtype=np.int64),
+            "{n} closed bodies overlap so much that it was not worked out which lie inside others",
+            defect=True, n=len(solid.patches),
+        )  # fmt: skip
     # Only outermost ones count: what lies in them, or in a wall with a hole, follows.
     own = (solid.outermost == np.arange(len(solid.patches))) & ~solid.in_open
     for kind, which, text, defect in (
         ("inside-out bodies", solid.patches[solid.inside_out & own],
-         "{n} closed bodies are inside out", True),
-        ("one-sided patches", np.flatnonzero(t.one_sided), "{n} patches have only one side", True),
-        ("nested bodies", solid.patches[~own], "{n} closed bodies lie inside another", False),
+         "{n} closed [body is|bodies are] inside out", True),
+        ("one-sided patches", np.flatnonzero(t.one_sided),
+         "{n} [patch has|patches have] only one side", True),
+        ("nested bodies", solid.patches[~own],
+         "{n} closed [body lies|bodies lie] inside another", False),
     ):  # fmt: skip
         if len(which):
             ids = proper[np.isin(t.patches, which)]

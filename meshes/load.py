@@ -34,6 +34,22 @@ _READERS: dict[str, Callable[[bytes], Content]] = {
 FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf", "vtp", "vtk", "gii", *FREESURFER)
 """Ends of the names of mesh files; `.gz` may follow any of them."""
 SCENES = ("glb", "gltf")
+_BEGINNINGS = (  # in lower case, what they say, and the formats that may begin so
+    (packed.MAGIC, "packed with gzip: its name should end in .gz", ()),
+    (b"\xff\xff\xfe", "a FreeSurfer surface", FREESURFER),
+    (b"pk\x03\x04", "a zip archive (as 3MF is)", ("3mf",)),
+    (b"gltf", "binary glTF", ("glb",)),
+    (b"ply", "PLY", ("ply",)),
+    (b"# vtk datafile", "legacy VTK", ("vtk",)),
+    (b"<!doctype html", "a web page", ()),
+    (b"<html", "a web page", ()),
+    (b"<vtkfile", "VTK's XML", ("vtp",)),
+    (b"<gifti", "GIfTI", ("gii",)),
+    (b"<?xml", "XML", ("vtp", "gii")),
+    (b"nrrd000", "an NRRD volume (see mesh from-volume)", ()),
+    (b"iso-10303", "a STEP file, which has no triangles", ()),
+    (b"version https://git-lfs", "a pointer of Git LFS in place of the file", ()),
+)
 
 
 @dataclass(frozen=True)
@@ -185,9 +201,27 @@ def _content(data: bytes, path: Path, form: str) -> Content:
         size = len(data)
         data = packed.gunzip(data, allowed_unpacked(size))
         check_unpacked(len(data), size)
-    if form in SCENES:
-        return gltf.read(data, form, path.parent)
-    return _READERS[form](data)
+    try:
+        if form in SCENES:
+            return gltf.read(data, form, path.parent)
+        return _READERS[form](data)
+    except MeshError:
+        what, forms = _looks(data)
+        if what and form not in forms:
+            raise MeshError(f"{what}, not {form.upper()} as its name says") from None
+        raise
+
+
+def _looks(data: bytes) -> tuple[str, tuple[str, ...]]:
+    """What a file is by its first bytes, and the formats that begin so; "" if that is not known."""
+    if data[128:132] == b"DICM":
+        return "a DICOM file", ()
+    begin = data[:256].lower()
+    text = begin.removeprefix(b"\xef\xbb\xbf").lstrip()
+    for magic, what, forms in _BEGINNINGS:
+        if (begin if magic[0] > 127 or magic[0] < 32 else text).startswith(magic):
+            return what, forms
+    return "", ()
 
 
 def _joined(bodies: list[Arrays], form: str) -> Arrays:

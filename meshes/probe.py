@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vf.kernels import njit
-from vf.pdtree import STACK, Tree, children_of, triangles_of, within
+from vf.pdtree import STACK, Tree, box_distances2, children_of, triangles_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -15,9 +15,31 @@ IntArray = NDArray[np.int64]
 _OPPOSITE = -0.866
 # Solid kernels place cut points to about a 1e-12th of the size: what is shallower only touches.
 _TOUCH = 1e-11
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_PAIR = 20  # of `effort`: what is found takes longer than what is ruled out
 
 
-def intersections(vertices: FloatArray, corners: IntArray, tree: Tree, rows: IntArray) -> IntArray:
+def effort(faces: int) -> int:
+    """How much may be looked at in a mesh: many times what takes a whole surface of that size.
+
+    In boxes and triangles of the tree. Triangles that all overlap would take the square of their
+    number, which in a file of less than a megabyte is minutes.
+    """
+    return 50_000_000 + 300 * faces
+
+
+class TooMuch(Exception):
+    """More would have to be looked at than `effort` allows."""
+
+
+def spread(rows: IntArray) -> IntArray:
+    """The rows in such an order that its beginning, however short, is evenly spread over them."""
+    return rows[np.argsort(np.arange(len(rows)) * _GOLDEN % 1.0, kind="stable")]
+
+
+def intersections(
+    vertices: FloatArray, corners: IntArray, tree: Tree, rows: IntArray
+) -> tuple[IntArray, int]:
     """Pairs ``(k, 2)`` of faces, the first one from ``rows``, that cut through each other.
 
     An edge of one passes through the inside of the other, by more than rounding (a 1e-11th of the
@@ -27,43 +49,74 @@ def intersections(vertices: FloatArray, corners: IntArray, tree: Tree, rows: Int
     Args:
         corners: ``(m, 3)`` vertices by place: what is at one place has one number.
         tree: over the same faces, in the same order.
+
+    Returns:
+        The pairs, and the number of rows, from the first one, that were looked at with `effort`.
     """
     touch = _TOUCH * float(np.abs(vertices).max())
-    room = 1024
+    pairs = np.empty((1024, 2), dtype=np.int64)
+    row, found, left = 0, 0, effort(len(corners))
     while True:
-        pairs = np.empty((room, 2), dtype=np.int64)
-        count = _intersections(vertices, corners, tree, rows, touch, pairs)
-        if count <= room:
-            return pairs[:count].copy()
-        room = count
+        row, found, left = _intersections(
+            vertices, corners, tree, rows, touch, row, left, pairs, found
+        )
+        if row == len(rows) or left <= 0:
+            return pairs[:found].copy(), row
+        more = np.empty((max(2 * len(pairs), found + len(corners)), 2), dtype=np.int64)
+        more[:found] = pairs[:found]
+        pairs = more
 
 
 @njit(cache=True, nogil=True)
-def _intersections(vertices, corners, tree, rows, touch, pairs):  # type: ignore[no-untyped-def]
-    triangles = np.empty(256, dtype=np.int64)
-    found = 0
-    for f in rows:
+def _intersections(vertices, corners, tree, rows, touch, row, left, pairs, found):  # type: ignore[no-untyped-def]
+    """Go on from a row; the next row, pairs found and effort left.
+
+    Ends where there may be no room for the next row's pairs. Whole rows only: one is begun if any
+    effort is left.
+    """
+    stack = np.empty(STACK, dtype=np.int32)
+    while row < rows.shape[0] and left > 0:
+        f = rows[row]
+        begun = found
         a, b, c = vertices[corners[f, 0]], vertices[corners[f, 1]], vertices[corners[f, 2]]
         x, y, z = (a + b + c) / 3.0
-        reach = 0.0
+        reach2 = 0.0
         for k in range(3):
             p = vertices[corners[f, k]]
-            reach = max(reach, (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2)
-        reach = np.sqrt(reach) * (1.0 + 1e-9)
-        near = within(tree.nodes, tree.corners, tree.order, x, y, z, reach, triangles)
-        if near > len(triangles):
-            triangles = np.empty(near, dtype=np.int64)
-            near = within(tree.nodes, tree.corners, tree.order, x, y, z, reach, triangles)
-        for t in range(near):
-            g = triangles[t]
-            if g == f:
+            reach2 = max(reach2, (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2)
+        reach2 = reach2 * (1.0 + 1e-8) + 1e-30
+        stack[0] = 0
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            node = stack[depth]
+            left -= 1
+            if box_distances2(tree.nodes, node, x, y, z)[0] > reach2:
                 continue
-            if _pierces(vertices, corners, f, g, touch) or _pierces(vertices, corners, g, f, touch):
-                if found < pairs.shape[0]:
+            link = tree.nodes[node, 15]
+            if link > 0.0:
+                first, last = children_of(link)
+                for child in range(first, last):
+                    stack[depth] = child
+                    depth += 1
+                continue
+            first, last = triangles_of(link)
+            left -= last - first
+            for t in range(first, last):
+                g = tree.order[t]
+                if g == f:
+                    continue
+                if _pierces(vertices, corners, f, g, touch) or _pierces(
+                    vertices, corners, g, f, touch
+                ):
+                    if found == pairs.shape[0]:
+                        return row, begun, left
                     pairs[found, 0] = f
                     pairs[found, 1] = g
-                found += 1
-    return found
+                    found += 1
+                    left -= _PAIR
+        row += 1
+    return row, found, left
 
 
 @njit(cache=True, nogil=True)
@@ -106,7 +159,7 @@ def _side(a, b, c, p):  # type: ignore[no-untyped-def]
 
 def walls(
     vertices: FloatArray, corners: IntArray, normals: FloatArray, tree: Tree, rows: IntArray
-) -> FloatArray:
+) -> tuple[FloatArray, int]:
     """Thickness [m] of the wall below each face of ``rows``, inf where there is none.
 
     From the face's middle inwards (against its normal) to the first face that shares no corner
@@ -115,37 +168,47 @@ def walls(
     Args:
         corners, tree: as for `intersections`.
         normals: ``(m, 3)`` unit, outwards; zero for faces that are no side of a wall.
+
+    Returns:
+        The thicknesses, and the number of rows, from the first one, looked at with `effort`.
     """
     thickness = np.full(len(rows), np.inf)
-    _walls(vertices, corners, normals, tree, rows, thickness)
-    return thickness
+    left = effort(len(corners))
+    return thickness, int(_walls(vertices, corners, normals, tree, rows, left, thickness))
 
 
 @njit(cache=True, nogil=True)
-def _walls(vertices, corners, normals, tree, rows, thickness):  # type: ignore[no-untyped-def]
+def _walls(vertices, corners, normals, tree, rows, left, thickness):  # type: ignore[no-untyped-def]
     for r in range(rows.shape[0]):
+        if left <= 0:
+            return r
         f = rows[r]
         n = normals[f]
         if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
             continue
         a, b, c = vertices[corners[f, 0]], vertices[corners[f, 1]], vertices[corners[f, 2]]
-        distance, g = _first_hit(tree, corners, (a + b + c) / 3.0, -n, f)
+        distance, g, work = _first_hit(tree, corners, (a + b + c) / 3.0, -n, f)
+        left -= work
         if g >= 0:
             m = normals[g]
             if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < _OPPOSITE:
                 thickness[r] = distance
+    return rows.shape[0]
 
 
 @njit(cache=True, nogil=True)
 def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
-    """Distance along the unit ray p + t d to the first face apart from ``own``, and that face."""
+    """Distance along the unit ray p + t d to the first face apart from ``own``, that face, and
+    the boxes and triangles looked at."""
     stack = np.empty(STACK, dtype=np.int32)
     stack[0] = 0
     depth = 1
     best, face = np.inf, np.int64(-1)
+    work = 0
     while depth > 0:
         depth -= 1
         node = stack[depth]
+        work += 1
         if not _meets(tree.nodes[node], p, d, best):
             continue
         link = tree.nodes[node, 15]
@@ -156,11 +219,12 @@ def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
                 depth += 1
             continue
         first, last = triangles_of(link)
+        work += last - first
         for t in range(first, last):
             hit = _ray(tree.corners[t], p, d)
             if hit < best and not _touching(corners, own, tree.order[t]):
                 best, face = hit, tree.order[t]
-    return best, face
+    return best, face, work
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -213,26 +277,41 @@ def _ray(c, p, d):  # type: ignore[no-untyped-def]
 
 
 def crossings(
-    tree: Tree, shells: IntArray, starts: FloatArray, direction: FloatArray, own: IntArray
-) -> IntArray:
+    tree: Tree,
+    shells: IntArray,
+    starts: FloatArray,
+    direction: FloatArray,
+    own: IntArray,
+    left: int,
+) -> tuple[IntArray, int]:
     """Pairs ``(k, 2)`` of a start and a shell that its ray crosses an odd number of times.
+
+    And how much of `effort` is left.
 
     Args:
         shells: ``(m,)`` the shell that each face of the tree belongs to, from 0; −1: none.
         starts: ``(n, 3)`` [m], from where rays go along ``direction`` ``(3,)``.
         own: ``(n,)`` the shell of each start, which its ray does not see.
+        left: of the `effort`.
+
+    Raises:
+        TooMuch: it was not enough.
     """
     room = 4 * len(starts) + 64
     while True:
         pairs = np.empty((room, 2), dtype=np.int64)
-        count = _crossings(tree, shells, int(shells.max()) + 1, starts, direction, own, pairs)
+        count, left = _crossings(
+            tree, shells, int(shells.max()) + 1, starts, direction, own, left, pairs
+        )
+        if left <= 0:
+            raise TooMuch
         if count <= room:
-            return pairs[:count].copy()
+            return pairs[:count].copy(), left
         room = count
 
 
 @njit(cache=True, nogil=True)
-def _crossings(tree, shells, count, starts, d, own, pairs):  # type: ignore[no-untyped-def]
+def _crossings(tree, shells, count, starts, d, own, left, pairs):  # type: ignore[no-untyped-def]
     odd = np.zeros(count, dtype=np.bool_)
     met = np.empty(count, dtype=np.int64)  # every shell once
     seen = np.full(count, -1, dtype=np.int64)
@@ -243,8 +322,9 @@ def _crossings(tree, shells, count, starts, d, own, pairs):  # type: ignore[no-u
         meetings = 0
         stack[0] = 0
         depth = 1
-        while depth > 0:
+        while depth > 0 and left > 0:
             depth -= 1
+            left -= 1
             node = stack[depth]
             if not _meets(tree.nodes[node], p, d, np.inf):
                 continue
@@ -256,6 +336,7 @@ def _crossings(tree, shells, count, starts, d, own, pairs):  # type: ignore[no-u
                     depth += 1
                 continue
             first, last = triangles_of(link)
+            left -= last - first
             for t in range(first, last):
                 shell = shells[tree.order[t]]
                 if shell < 0 or shell == own[s] or not _ray(tree.corners[t], p, d) < np.inf:
@@ -272,4 +353,7 @@ def _crossings(tree, shells, count, starts, d, own, pairs):  # type: ignore[no-u
                     pairs[found, 0] = s
                     pairs[found, 1] = met[k]
                 found += 1
-    return found
+                left -= _PAIR
+        if left <= 0:
+            break
+    return found, left

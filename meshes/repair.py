@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.bodies import bodies
+from meshes.bodies import Bodies, bodies
 from meshes.health import NEAR, checked_mesh
 from meshes.shapes import Arrays
+from meshes.text import worded
 from meshes.topology import Topology, topology
 from meshes.weld import first_of_kind, weld
 from vf import Surface
@@ -54,16 +55,16 @@ class Changes:
     def lines(self) -> tuple[str, ...]:
         """What was done, a line for each kind that occurred."""
         told = (
-            (self.welded, f"welded {self.welded:,} vertices, the farthest over "
+            (self.welded, "welded {n} [vertex|vertices], the farthest over "
              f"{self.farthest * 1e6:.2g} µm"),
-            (self.degenerate, f"dropped {self.degenerate:,} faces without area"),
-            (self.duplicates, f"dropped {self.duplicates:,} repeated faces"),
-            (self.unused, f"dropped {self.unused:,} vertices that no face uses"),
-            (self.flipped, f"turned {self.flipped:,} faces to agree with their surroundings"),
-            (self.turned_bodies, f"turned {self.turned_bodies:,} closed bodies"),
-            (self.turned_patches, f"turned {self.turned_patches:,} open patches"),
+            (self.degenerate, "dropped {n} [face|faces] without area"),
+            (self.duplicates, "dropped {n} repeated [face|faces]"),
+            (self.unused, "dropped {n} [vertex|vertices] that no face uses"),
+            (self.flipped, "turned {n} [face|faces] to agree with [its|their] surroundings"),
+            (self.turned_bodies, "turned {n} closed [body|bodies]"),
+            (self.turned_patches, "turned {n} open [patch|patches]"),
         )  # fmt: skip
-        return tuple(text for count, text in told if count)
+        return tuple(worded(text, count) for count, text in told if count)
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def repair(
         turned_patches = int(turned[~t.closed].sum())
         wrong = t.minority ^ turned[t.patches]
         f[wrong] = f[wrong][:, [0, 2, 1]]  # the first corner stays
-        left = _left(t, stitches)
+        left = _left(t, solid, stitches)
     else:
         left = ["nothing: no face had any area"]
     kept = np.zeros(len(v), dtype=bool)
@@ -171,19 +172,20 @@ def repair(
     return Repaired(v[kept], (np.cumsum(kept) - 1)[f], changes)
 
 
-def _left(t: Topology, stitches: int) -> list[str]:
+def _left(t: Topology, solid: Bodies, stitches: int) -> list[str]:
     """What a repair cannot mend, in the words of the health report."""
-    loops = len(t.rim_starts) - 1
-    open_ = int((~t.closed).sum())
     told = (
-        (loops, f"{loops:,} boundary loops: holes are not filled"),
-        (open_, f"{open_:,} open patches have no outside: see which way they look"),
-        (t.crowded_edges, f"{t.crowded_edges:,} edges with more than two faces"),
-        (len(t.pinched), f"{len(t.pinched):,} vertices joining sheets that share no edge"),
-        (t.one_sided.any(), f"{int(t.one_sided.sum()):,} patches with one side only"),
-        (stitches, f"{stitches:,} faces without area that close a seam"),
+        (len(t.rim_starts) - 1, "{n} boundary [loop|loops]: holes are not filled"),
+        (int((~t.closed).sum()), "{n} open [patch has|patches have] no outside: see which way "
+         "[it looks|they look]"),
+        (t.crowded_edges, "{n} [edge|edges] with more than two faces"),
+        (len(t.pinched), "{n} [vertex|vertices] joining sheets that share no edge"),
+        (int(t.one_sided.sum()), "{n} [patch|patches] with one side only"),
+        (stitches, "{n} [face|faces] without area that close[s|] a seam"),
+        (0 if solid.known else len(solid.patches), "{n} closed [body|bodies], not turned: so much "
+         "overlaps that it was not worked out which lie inside others"),
     )  # fmt: skip
-    return [text for count, text in told if count]
+    return [worded(text, count) for count, text in told if count]
 
 
 def _flat(v: FloatArray, f: IntArray, tolerance: float) -> NDArray[np.bool_]:

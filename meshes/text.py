@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 import warnings
 from typing import Any
 
@@ -113,3 +114,11 @@ def open_end(text: bytes) -> tuple[str, ...]:
     if text[-1:] in (b"\n", b"\r", b""):
         return ()
     return ("The file ends within a line: if it was cut off there, its last triangle is wrong.",)
+
+
+def worded(text: str, n: int) -> str:
+    """A text about so many things: ``{n}`` is their number, of ``[one|many]`` the fitting is taken.
+
+    No more braces may be in it, nor square brackets.
+    """
+    return re.sub(r"\[([^|]*)\|([^]]*)\]", r"\1" if n == 1 else r"\2", text).format(n=f"{n:,}")

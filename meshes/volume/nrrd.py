@@ -37,6 +37,8 @@ _SIGNS = {
     **dict.fromkeys(("left-anterior-superior", "las"), (-1.0, 1.0, 1.0)),
     **dict.fromkeys(("left-posterior-superior", "lps"), (-1.0, -1.0, 1.0)),
 }
+_NO_PATIENT = ("", "scanner-xyz", "3d-right-handed", "3d-left-handed")
+_TIME = ("-time", "rast", "last", "lpst")  # with a fourth axis
 _MM = {
     **dict.fromkeys(("", "mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e3),
@@ -101,7 +103,10 @@ def read(file: Path, volume: int | None) -> Stored:
             inner=skip if packed else 0, volumes=volumes, volume=chosen, interleaved=first,
         )  # fmt: skip
     T, notes = _placed(fields, directions, axes)
-    signs = _SIGNS.get(fields.get("space", "").lower())
+    space = fields.get("space", "").strip().lower()
+    if not (space in _SIGNS or space in _NO_PATIENT or space.endswith(_TIME)):
+        raise MeshError(f"its space is {space!r}: understood are RAS, LAS and LPS")
+    signs = _SIGNS.get(space)
     if signs is None or directions is None:
         return Stored(values, T, None, (*notes, GUESS.format("the file")))
     names = _names(keys, chosen if first else 0)

@@ -78,7 +78,7 @@ def test_repair_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["mesh", "repair", str(sheet), str(out), "--unit", "mm", "--flip"]) == 1
     printed = capsys.readouterr().out
     assert "left: 2 boundary loops" in printed
-    assert "turned 1 open patches" in printed
+    assert "turned 1 open patch\n" in printed
     turned = meshes.arrays(out, unit="mm")[1]
     assert np.array_equal(turned[:, [0, 2, 1]], meshes.arrays(sheet, unit="mm")[1])
 

@@ -48,3 +48,20 @@ def test_half_a_turn_about_z_and_back_is_exact() -> None:
     np.testing.assert_array_equal(turned, points @ np.diag([-1.0, -1.0, 1.0]))
     np.testing.assert_array_equal(frames.half_turn(turned), points)
     assert not np.signbit(frames.half_turn(np.zeros((1, 3)))).any()
+
+
+@pytest.mark.parametrize(
+    ("comment", "reason"),
+    [
+        ("SPACE=LAS", "says SPACE=LAS: only RAS and LPS are read"),
+        ("space = rai", "says SPACE=RAI: only RAS and LPS are read"),
+        ("SPACE=LPS SPACE=LAS", "says SPACE=LPS and SPACE=LAS: which"),
+    ],
+)
+def test_a_frame_that_is_not_read_is_refused_by_name(
+    tmp_path: Path, comment: str, reason: str
+) -> None:
+    path = tmp_path / "m.obj"
+    path.write_text(f"# {comment}\nv 0 0 0\nv 20 0 0\nv 0 20 0\nf 1 2 3\n")
+    with pytest.raises(meshes.MeshError, match=reason):
+        meshes.read(path, unit="mm")

@@ -10,8 +10,10 @@ import trimesh
 
 import meshes
 import vf
+from meshes import probe
 from meshes.damage import SHARE, damage
-from meshes.health import MEANING, Health, health
+from meshes.health import Health, health
+from meshes.meaning import MEANING
 from meshes.topology import topology
 
 Mesh = tuple[np.ndarray, np.ndarray]
@@ -244,6 +246,82 @@ def test_self_intersections_as_brute_force_finds_them() -> None:
     assert not sampled.exact
     assert "100 sampled faces" in str([f.text for f in sampled.findings])
     assert health(*mesh, examine=0).count("self-intersections") == 0
+
+
+def tetrahedra(sizes: np.ndarray, places: np.ndarray) -> Mesh:
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
+    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    vertices = corners * sizes[:, None, None] + places[:, None, :]
+    return vertices.reshape(-1, 3), (faces + 4 * np.arange(len(sizes))[:, None, None]).reshape(
+        -1, 3
+    )
+
+
+def crowds(n: int) -> dict[str, Mesh]:
+    """Meshes of ``n`` faces of which each one is near, or cuts, all others."""
+    rng = np.random.default_rng(0)
+    one = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0]])
+    apart = np.arange(3 * n).reshape(-1, 3)
+    return {
+        "random": (rng.uniform(-0.05, 0.05, (3 * n, 3)), apart),
+        "nearly one": (np.tile(one, (n, 1)) + rng.uniform(-1e-4, 1e-4, (3 * n, 3)), apart),
+        "one": (np.tile(one, (n, 1)), apart),
+        "overlapping bodies": tetrahedra(
+            np.full(n // 4, 0.05), rng.uniform(-1e-3, 1e-3, (n // 4, 3))
+        ),
+        "nested bodies": tetrahedra(np.linspace(0.02, 0.05, n // 4), np.zeros((n // 4, 3))),
+    }
+
+
+@pytest.mark.parametrize("name", list(crowds(4)))
+def test_a_crowd_of_faces_takes_no_more_than_its_share_and_that_is_told(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = crowds(400)[name]
+    whole = health(*mesh)
+    assert whole.exact
+    assert not {"crowded faces", "undecided bodies"} & kinds_of(whole)
+    monkeypatch.setattr(probe, "effort", lambda _faces: 20_000)
+    report = health(*mesh)
+    assert 0 < report.examined < len(mesh[1])
+    found = next(f for f in report.findings if f.kind == "crowded faces")
+    assert found.count == report.examined
+    assert f"only {report.examined} of {len(mesh[1])} were" in found.text
+    json.dumps(report.as_dict())
+    pairs = whole.count("self-intersections")
+    assert report.count("self-intersections") <= pairs
+    if "bodies" not in name:
+        return
+    # Which lie inside which is not known: nothing is said of it, and nothing is turned.
+    assert report.count("undecided bodies") == 100
+    assert report.volume is None
+    assert not report.sound
+    assert not {"inside-out bodies", "nested bodies"} & kinds_of(report)
+    turned = mesh[0], mesh[1][:, ::-1]
+    mended = meshes.repair(*turned)
+    assert mended.changes.turned_bodies == 0
+    assert any("100 closed bodies, not turned" in line for line in mended.changes.left)
+
+
+def test_a_million_triangles_that_overlap_may_take_a_bounded_share_each() -> None:
+    """What a surface takes is far from what is allowed, and that is far from a square."""
+    for n in (1_000, 1_000_000):
+        assert 50 * n < probe.effort(n) < 1_000 * n + 1e8
+
+
+def test_one_and_many_are_worded_as_such() -> None:
+    one = {f.kind: f.text for f in health(np.eye(3), np.array([[0, 1, 2]])).findings}
+    assert one["boundary loops"].startswith("1 boundary loop,")
+    hollow = joined(ball(0.03), ball(0.01, inwards=True))
+    (told,) = health(*hollow).findings
+    assert told.text == "1 closed body lies inside another"
+    lid = np.vstack([hollow[1][1:], hollow[1][1:2]])  # a hole, and a face twice
+    texts = [f.text for f in health(hollow[0], lid, examine=0).findings]
+    assert "1 face repeats another" in texts
+    changes = meshes.repair(hollow[0], lid).changes
+    assert "dropped 1 repeated face" in changes.lines()
+    assert "1 boundary loop: holes are not filled" in changes.left
+    assert "1 open patch has no outside: see which way it looks" in changes.left
 
 
 @pytest.mark.parametrize(("name", "wall"), [("thin-plate", 0.5e-3), ("cube", 0.04)])

@@ -349,3 +349,27 @@ def test_oversized_file_is_not_opened(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(Path, "read_bytes", lambda _self: pytest.fail("opened"))
     with pytest.raises(meshes.MeshError, match="500 MB, more than the 500"):
         meshes.load(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [
+        (b"ply\nformat binary_little_endian 1.0\n" + bytes(range(256)), "PLY"),
+        (b"glTF\2\0\0\0" + bytes(200), "binary glTF"),
+        (b"PK\3\4" + bytes(200), "a zip archive"),
+        (b"\x1f\x8b\x08\0" + bytes(200), "packed with gzip"),
+        (b"\xff\xff\xfecreated by" + bytes(200), "a FreeSurfer surface"),
+        (bytes(128) + b"DICM" + bytes(100), "a DICOM file"),
+        (b"\xef\xbb\xbf\n<!DOCTYPE HTML><title>404</title>" + b" " * 100, "a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "a pointer of Git LFS"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.stl", "a.obj", "a.off", "a.vtk", "a.gltf", "a.white", "a.gii"])
+def test_a_file_of_another_format_than_its_name_says_is_refused_as_that(
+    tmp_path: Path, name: str, data: bytes, what: str
+) -> None:
+    if name == "a.white" and what == "a FreeSurfer surface":
+        return
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(meshes.MeshError, match=f"{what}.*, not {name[2:].upper()} as its name"):
+        meshes.arrays(tmp_path / name, unit="mm")

@@ -339,3 +339,20 @@ def test_names_that_do_not_tell_and_units(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         volume.read(tmp_path / "scaled.nii").values, np.arange(210).reshape(shape) * 0.5 - 1000
     )
+
+
+@pytest.mark.parametrize("space", ["left-anterior-inferior", "RAI", "patient"])
+def test_a_space_of_nrrd_that_is_not_understood_is_refused_by_name(
+    tmp_path: Path, space: str
+) -> None:
+    head = (
+        "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n"
+        f"space: {space}\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\n"
+    )
+    path = tmp_path / "v.nrrd"
+    path.write_bytes(head.encode() + bytes(8))
+    with pytest.raises(meshes.MeshError, match=f"its space is '{space.lower()}': understood are"):
+        volume.read(path)
+    path.write_bytes(head.replace(space, "scanner-xyz").encode() + bytes(8))
+    with pytest.warns(UserWarning, match="does not say how the patient lies"):
+        assert volume.read(path).frame is None
