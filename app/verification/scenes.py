@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 PINS = 150  # more than a walk may take planes for
 PIN_DISTANCE = 1e-4  # [m]
 ROUNDING = 1e-11  # of a distance from a path [m]
+RIM = 32  # points of a tip that are judged against a corridor
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,22 @@ class Surroundings:
             else:
                 count += oracles.crossings(surface, a, b)
         if len(self._path):
-            off = oracles.aside(self._path, self._down, b)
-            count += off > self._width - self.tip_radius + ROUNDING
+            count += self._farthest(b) > self._width + ROUNDING
         return count
+
+    def _farthest(self, p: FloatArray) -> float:
+        """Distance from the path of the part of a tip at p (3,) that is farthest from it [m].
+
+        Not the distance of the centre and the tip's radius: at the inside of a bend the part that
+        is far from one leg of the path is near to the next.
+        """
+        if not self.tip_radius:
+            return oracles.aside(self._path, self._down, p)
+        _, _, across = np.linalg.svd(self._down[None, :])
+        turns = np.linspace(0.0, 2.0 * np.pi, RIM, endpoint=False)
+        rim = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ across[1:]
+        ways = p + self.tip_radius * rim
+        return max(oracles.aside(self._path, self._down, way) for way in ways)
 
 
 def _pins(x: FloatArray, tip_radius: float, rng: np.random.Generator) -> vf.Surface:
