@@ -33,6 +33,11 @@ def harmless(name: str, fallback: str) -> str:
     return short.strip() or fallback
 
 
+def typed(name: str, fallback: str) -> str:
+    """A name as somebody typed it, `harmless`; a slash in it begins no path, and becomes `_`."""
+    return harmless(re.sub(r"[/\\]", "_", name), fallback)
+
+
 def shown(name: str) -> str:
     """A name or path as it may stand in a message: of one line, and nothing in it acts."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)

@@ -34,7 +34,7 @@ class UnitNeeded(MeshError):
 
     def __str__(self) -> str:
         readings = " or ".join(
-            f"{shown(size)} across if in {unit}" for unit, size in self.sizes.items()
+            f"{shown(size)} from corner to corner if in {unit}" for unit, size in self.sizes.items()
         )
         ways = " or ".join(f"--unit {unit}" for unit in self.sizes)
         return (
@@ -97,8 +97,8 @@ def settled(name: str, across: float, unit: str | None, said: str | None = None)
     if not possible:
         tried = known or ("mm" if across * UNITS["mm"] > LARGEST else "m")
         raise WrongSize(
-            f"{name}: {across * UNITS[tried]:.3g} m across if its unit is {tried}; from 0.1 mm to "
-            f"10 m is possible (say the unit: {', '.join(UNITS)})",
+            f"{name}: {across * UNITS[tried]:.3g} m from corner to corner if its unit is {tried}; "
+            f"from 0.1 mm to 10 m is possible (say the unit: {', '.join(UNITS)})",
             across,
             said,
         )
@@ -106,7 +106,7 @@ def settled(name: str, across: float, unit: str | None, said: str | None = None)
     if known is None:
         warnings.warn(
             f"{name} does not say its unit: with a diagonal of {across:.4g} it is taken to be in "
-            f"{settled} ({shown(possible[settled])} across); say the unit ({', '.join(UNITS)}) "
+            f"{settled} ({shown(possible[settled])}); say the unit ({', '.join(UNITS)}) "
             "if it is another",
             UnitGuess,
             stacklevel=4,
@@ -119,6 +119,7 @@ def choices(across: float, said: str | None = None) -> Mapping[str, str]:
     found = sizes(across)
     order = sorted(found, key=lambda unit: unit != said)
     return {
-        unit: f"{unit}{', as the file says' * (unit == said)}: {shown(found[unit])} across"
+        unit: f"{unit}{', as the file says' * (unit == said)}: {shown(found[unit])} "
+        "from corner to corner"
         for unit in order
     }

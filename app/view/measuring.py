@@ -37,7 +37,8 @@ class Measuring:
         where: Whereabouts | None = None
         if step is not None and telemetry.scene == scene.version:
             p_tip = np.array(step.tip.translation)
-            in_sphere = len(scene.surface.within(p_tip, step.radius).triangles)
+            reach = step.radius + shown.options.tip_radius
+            in_sphere = len(scene.surface.within(p_tip, reach).triangles)
             where = whereabouts(scene, telemetry.q, p_tip, shown.options.tip_radius, crossing)
             before = self._before
             if before is not None and self._tip_before is not None:

@@ -40,7 +40,8 @@ class Extras:
     """What the view itself measures between two read-outs.
 
     Attributes:
-        in_sphere: triangles of the mesh cut by the motion sphere.
+        in_sphere: triangles of the mesh cut by the motion sphere, which is wider by the radius of
+            the tip's ball for those that can touch the ball.
         speed: mean speed of the tool tip since the last read-out [m/s].
         joints: names of the arm's joints.
         silent: for how long the control loop has said nothing new [s].
@@ -73,7 +74,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             _section("Fixture"),
             _row("rule", options.rule),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
-            _row("triangles in sphere", f"{extras.in_sphere:,}", " "),
+            _row(_reached(extras), f"{extras.in_sphere:,}", " "),
             _row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
             _row("QP", palette.SOLVER_HELP[step.solver]),
@@ -160,6 +161,11 @@ def _latch(where: Whereabouts, crossing: Crossing) -> str:
         f"{what} at tick {crossing.tick:,}, triangle #{crossing.triangle:,} "
         f"(rule {crossing.rule}). {now}"
     )
+
+
+def _reached(extras: Extras) -> str:
+    ball = extras.where is not None and extras.where.tip_radius > 0.0
+    return "triangles in ball’s reach" if ball else "triangles in sphere"
 
 
 def _sides(extras: Extras) -> list[str]:

@@ -45,6 +45,7 @@ class RecordTab:
         self._replaying = Replaying(stage)
         self._said = ""
         self._doing = ""  # what takes long just now
+        self._moved: set[Path] = set()  # where files were that were renamed or deleted since
         self._wanted = ""  # what is to be chosen in the list once it is there
         self._described: tuple[Any, ...] = ()  # what is said of a recording is of this file
         gui = stage.server.gui
@@ -94,6 +95,8 @@ class RecordTab:
         if tape is not None:
             text = f"Recording: {tape.rows:,} ticks." if going else tape.outcome
             color = palette.VERMILION if going or tape.note else palette.BLACK
+            if tape.path in self._moved:  # it says where that file is
+                text, color = "", palette.BLACK
             self._say(self._doing or text, color)
         else:
             self._say(self._doing, palette.BLACK)
@@ -127,13 +130,14 @@ class RecordTab:
         path = self._chosen(at_rest=True)
 
         def rename(name: str) -> None:
-            new = path.with_name(files.harmless(name.removesuffix(SUFFIX), path.stem) + SUFFIX)
+            new = path.with_name(files.typed(name.removesuffix(SUFFIX), path.stem) + SUFFIX)
             if new == path:
                 return
             try:
                 files.rename(self._at_rest(path), new)
             except FileExistsError:
                 raise Refused(f"there is another recording of the name {new.stem}") from None
+            self._moved.add(path)
             self._wanted = new.name
 
         dialogs.ask_name(
@@ -150,6 +154,7 @@ class RecordTab:
 
         def delete() -> None:
             self._at_rest(path).unlink()
+            self._moved.add(path)
 
         dialogs.ask(
             client,

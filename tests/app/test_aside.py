@@ -221,8 +221,8 @@ def test_a_file_is_measured_before_its_unit_is_asked(tmp_path: Path) -> None:
         assert found == (pytest.approx(scale * across, rel=1e-6), said)
     words = choices(3.0, "cm")
     assert next(iter(words)) == "cm"
-    assert words["cm"] == "cm, as the file says: 30 mm across"
-    assert words["m"] == "m: 3 m across"
+    assert words["cm"] == "cm, as the file says: 30 mm from corner to corner"
+    assert words["m"] == "m: 3 m from corner to corner"
     for size, text in ((1e-9, "0.1 mm to 10 m"), (1e9, "0.1 mm to 10 m")):
         path = tmp_path / "absurd.obj"
         trimesh.Trimesh(ball.vertices * size, ball.faces).export(path, digits=12)

@@ -46,6 +46,19 @@ def test_names_that_lead_elsewhere_become_names_and_others_stay(given_: str, kep
     assert files.harmless(given_, "mesh") == kept
 
 
+@pytest.mark.parametrize(
+    ("typed", "kept"),
+    [
+        ("né 3/4", "né 3_4"),
+        ("left\\right", "left_right"),
+        ("../../etc/passwd", "_.._etc_passwd"),
+        ("/", "before"),
+    ],
+)
+def test_a_slash_in_a_typed_name_drops_nothing_before_it(typed: str, kept: str) -> None:
+    assert files.typed(typed, "before") == kept
+
+
 @given(st.text(max_size=400))
 def test_whatever_a_name_is_it_is_one_of_a_file(name: str) -> None:
     clean = files.harmless(name, "mesh")

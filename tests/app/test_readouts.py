@@ -13,10 +13,12 @@ import pytest
 
 import vf
 from app.messages import LoopStats, Telemetry
+from app.player import Moment
 from app.session import Session
 from app.settings import Options
 from app.view import palette, readouts
 from app.view.depth import whereabouts
+from app.view.measuring import Measuring
 from vf.qp import Solver
 
 Wait = Callable[..., None]
@@ -204,3 +206,21 @@ def test_every_kind_of_plane_is_counted_and_in_the_legend(session: Session) -> N
         )
         assert f"{palette.LOOKS[rule].name}{m}" in table
         assert palette.LOOKS[rule].name in legend
+
+
+def test_triangles_that_a_tips_ball_can_reach_are_counted(session: Session) -> None:
+    telemetry = session.latest()
+    assert telemetry.step is not None
+    step = telemetry.step
+    gap = session.scene.surface.nearest(step.tip.translation)[0]
+    lower = pin.SE3(step.tip.rotation, step.tip.translation - [0.0, 0.0, gap - step.radius - 3e-3])
+    telemetry = replace(telemetry, step=replace(step, tip=lower))  # 3 mm from the motion sphere
+    for tip_radius, counted, name in (
+        (0.0, False, "triangles in sphere"),
+        (2e-3, False, "triangles in ball’s reach"),
+        (4e-3, True, "triangles in ball’s reach"),
+    ):
+        options = replace(session.options, tip_radius=tip_radius)
+        found = Measuring().measure(Moment(session.scene, options, telemetry, False), None, 0)
+        assert (found.in_sphere > 0) == counted
+        assert name in text(readouts.readouts(telemetry, options, found))

@@ -90,7 +90,7 @@ def test_a_scan_with_flipped_faces_and_holes_is_taken_examined_and_shown_where_i
     visitor.picture("mesh-unit-asked")
     across = float(np.linalg.norm(np.ptp(trimesh.load(path, process=False).vertices, axis=0)))
     assert visitor.tab.get_by_role("button", name=re.compile("^m: ")).count() == 0
-    visitor.press(f"mm: {across:.4g} mm across")
+    visitor.press(f"mm: {across:.4g} mm from corner to corner")
     wait_until(lambda: session.scene.mesh_name == "my scan.ply", "the mesh to be taken")
     assert session.options.unit == "mm"
     np.testing.assert_allclose(np.ptp(session.scene.surface.vertices, axis=0)[0], 0.08, atol=1e-3)
@@ -164,9 +164,9 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_kept(
     trimesh.creation.box((2.0, 2.0, 1.0)).export(small)
     send(visitor, small)
     visitor.tab.get_by_text("This OBJ file does not say its unit").wait_for()
-    assert says(visitor, "mm: 3 mm across").is_visible()
-    assert says(visitor, "m: 3 m across").is_visible()
-    visitor.press("cm: 30 mm across")
+    assert says(visitor, "mm: 3 mm from corner to corner").is_visible()
+    assert says(visitor, "m: 3 m from corner to corner").is_visible()
+    visitor.press("cm: 30 mm from corner to corner")
     wait_until(lambda: session.scene.mesh_name == "small.obj", "the box to be taken")
     visitor.tab.get_by_text("Sound: no defects.").wait_for()
     assert visitor.complaints == []

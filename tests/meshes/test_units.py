@@ -67,7 +67,7 @@ def test_what_is_said_is_not_asked_again(across: float, unit: str) -> None:
     for name, words in units.choices(across, unit).items():
         assert usable(across * meshes.UNITS[name])
         number, of = re.fullmatch(
-            rf"{name}(?:, as the file says)?: (\S+) (mm|m) across", words
+            rf"{name}(?:, as the file says)?: (\S+) (mm|m) from corner to corner", words
         ).groups()  # type: ignore[union-attr]
         assert float(number) * meshes.UNITS[of] == pytest.approx(
             across * meshes.UNITS[name], rel=1e-3
@@ -110,7 +110,8 @@ def test_commands_ask_for_the_unit(tmp_path: Path, capsys: pytest.CaptureFixture
     ):
         assert main(words) == 2
         said = " ".join(capsys.readouterr().err.split())
-        assert "4.95 mm across if in mm or 4.95 m across if in m: give --unit mm or" in said
+        sizes = "4.95 mm from corner to corner if in mm or 4.95 m from corner to corner if in m"
+        assert f"{sizes}: give --unit mm or" in said
     assert not (tmp_path / "out.ply").exists()
     assert main(["mesh", "check", path, "--unit", "mm"]) == 0
 
