@@ -13,7 +13,7 @@ from app.verification import oracles
 
 FloatArray = NDArray[np.float64]
 
-PINS = 150  # more than a walk may take planes for
+PINS = 300  # more than a walk may take planes for
 PIN_DISTANCE = 4e-5  # nearer than any mesh at the start [m]
 ROUNDING = 1e-11  # of a distance from a path [m]
 RIM = 32  # points of a tip that are judged against a corridor
