@@ -65,7 +65,8 @@ def region(visitor: Visitor, session: Session) -> None:
     visitor.tab.get_by_label("Compare rules", exact=True).click()
     camera.move(visitor.client, camera.tool_view(session.latest().step))
     visitor.tab.locator(".vf-rules table").first.wait_for(timeout=60_000)
-    visitor.tab.locator(".vf-rules table").first.scroll_into_view_if_needed()
+    # At once: the table is drawn anew again and again, and is never still for long.
+    visitor.tab.locator(".vf-rules table").first.evaluate("table => table.scrollIntoView()")
 
 
 def condition_2(visitor: Visitor, session: Session) -> None:
