@@ -28,6 +28,7 @@ class CorridorControl:
         self._screen = stage.screen
         self._api = stage.server.scene
         self._drawn: tuple[int, float | None] | None = None
+        self._named = (-1, 0)  # version of the scene, end of the path that the label is at
         low, high = RANGES["corridor"]
         with stage.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
             self._on = stage.server.gui.add_checkbox(
@@ -44,10 +45,13 @@ class CorridorControl:
     def set_scene(self, scene: Scene) -> None:
         self._folder.visible = scene.planned_path is not None
         self._drawn = None
+        self._named = (-1, 0)
 
     def frame(self, telemetry: Telemetry) -> None:
         shown = self._screen.shown
         scene, width = shown.scene, shown.options.corridor
+        if telemetry.step is not None:
+            self._draw_name(scene, telemetry.step.tip.translation)
         if self._drawn == (scene.version, width):
             return
         self._drawn = (scene.version, width)
@@ -59,14 +63,6 @@ class CorridorControl:
             colors=palette.CORRIDOR,
             thickness=3.0,
             thickness_units="screen",
-            visible=path is not None,
-        )
-        self._api.add_label(
-            "/corridor/name",
-            "planned cut",
-            position=to_view(lines[0, 0]),
-            anchor="top-left",
-            font_screen_scale=0.8,
             visible=path is not None,
         )
         walls = None
@@ -100,6 +96,23 @@ class CorridorControl:
         if self._session.options.corridor is not None:
             self._session.set_corridor(width * 1e-3)
 
+    def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
+        """The label, at the end of the path that is farther from the tip and its labels."""
+        path = scene.planned_path
+        ends = np.zeros((2, 3)) if path is None else path[[0, -1]]
+        end = far_end(ends, p_tip, self._named[1])
+        if self._named == (scene.version, end):
+            return
+        self._named = (scene.version, end)
+        self._api.add_label(
+            "/corridor/name",
+            "planned cut",
+            position=to_view(ends[end]),
+            anchor="top-left",
+            font_screen_scale=0.8,
+            visible=path is not None,
+        )
+
     def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
         visible = corners is not None
         quads = np.zeros((1, 4, 3)) if corners is None else corners
@@ -116,3 +129,12 @@ class CorridorControl:
             receive_shadow=False,
             visible=visible,
         )
+
+
+def far_end(ends: NDArray[np.float64], p_tip: NDArray[np.float64], last: int) -> int:
+    """Which of two ends (2, 3) is farther from the tip (3,): 0 or 1.
+
+    The other than `last` only where it is farther by a fifth: a label is not to go to and fro.
+    """
+    first, second = np.linalg.norm(ends - p_tip, axis=1)
+    return int(second > 1.2 * first) if last == 0 else int(first <= 1.2 * second)

@@ -12,6 +12,7 @@ import vf
 from app import scene as scenes
 from app.session import Refused, Session
 from app.settings import OptionError, Options, parse
+from app.view.corridor import far_end
 
 SKULL = Options(mesh="skull-coarse", robot="point", corridor=1e-3)
 
@@ -84,3 +85,13 @@ def test_the_width_on_the_command_line() -> None:
     assert parse(["--corridor", "off"], "").corridor is None
     with pytest.raises(OptionError, match="outside"):
         parse(["--corridor", "1m"], "")
+
+
+def test_the_name_of_the_cut_stands_at_the_end_that_is_away_from_the_tip() -> None:
+    ends = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0]])
+    assert far_end(ends, np.array([0.001, 0.0, 0.0]), last=0) == 1
+    assert far_end(ends, np.array([0.029, 0.0, 0.0]), last=1) == 0
+    # Half-way it stays where it is.
+    for last in (0, 1):
+        assert far_end(ends, np.array([0.0145, 0.0, 0.0]), last) == last
+        assert far_end(ends, np.array([0.0155, 0.0, 0.0]), last) == last
