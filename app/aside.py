@@ -343,9 +343,12 @@ def _main() -> None:
 
 
 def _out_of_memory(error: BaseException | None) -> bool:
-    """Whether there was no memory, also where a reader took that for a damaged file."""
+    """Whether there was no memory, also where a reader took that for a damaged file.
+
+    Compiled code that gets no memory may also return without a word, a SystemError.
+    """
     while error is not None:
-        if isinstance(error, MemoryError):
+        if isinstance(error, MemoryError | SystemError):
             return True
         error = error.__cause__ or error.__context__
     return False

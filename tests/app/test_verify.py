@@ -126,6 +126,29 @@ def test_every_surface_of_a_scene_and_its_corridor_are_judged() -> None:
     assert around.crossings(x, 2.0 * around.surfaces[3].vertices[0]) >= 1  # a pin
 
 
+def test_a_ball_that_is_between_the_walls_is_in_the_corridor() -> None:
+    """Inside a bend its centre may be farther from a leg than the width less its radius."""
+    far, tip, beside = vf.Surface.from_arrays(np.eye(3) + 5.0, [[0, 1, 2]]), 5e-4, 0
+    rng = np.random.default_rng(4)
+    for seed in range(10):
+        around = scenes.Surroundings(
+            scenes.Scene("ball", corridor=True), lambda: far, np.zeros(3), "certified", 5e-3, tip,
+            np.random.default_rng(seed),
+        )  # fmt: skip
+        corridor = around.fixtures[-1]
+        assert isinstance(corridor, vf.CorridorFixture)
+        spots = corridor.path[rng.integers(1, 5, 600)]
+        for x in spots + 0.4 * corridor.width * rng.normal(size=(600, 3)):
+            off = oracles.aside(corridor.path, corridor.direction, x)
+            between = corridor.room(x) >= tip
+            if between and off > corridor.width - tip:
+                beside += 1
+                assert around.crossings(x, x) == 0, (seed, x)
+            elif not between and off > corridor.width:
+                assert around.crossings(x, x) == 1, (seed, x)
+    assert beside > 0
+
+
 def test_the_distance_from_a_path_seen_along_the_cut():
     path = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 5.0], [1.0, 1.0, -3.0], [1.0, 1.0, 2.0]])
     for p, distance in (

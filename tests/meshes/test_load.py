@@ -331,14 +331,16 @@ def test_folders_other_formats_and_units(tmp_path: Path) -> None:
 def test_absurd_sizes(tmp_path: Path, unit: str, edge: float) -> None:
     path = tmp_path / "m.obj"
     path.write_text(f"v 0 0 0\nv {edge} 0 0\nv 0 {edge} 0\nf 1 2 3\n")
-    with pytest.raises(meshes.MeshError, match=rf"across if its unit is {unit}; from 0.1 mm"):
+    with pytest.raises(
+        meshes.MeshError, match=rf"from corner to corner if its unit is {unit}; from 0.1 mm"
+    ):
         meshes.arrays(path, unit=unit)
 
 
 def test_a_mesh_without_extent_is_absurd_too(tmp_path: Path) -> None:
     path = tmp_path / "m.obj"
     path.write_text("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n")
-    with pytest.raises(meshes.MeshError, match="across"):
+    with pytest.raises(meshes.MeshError, match="from corner to corner"):
         meshes.arrays(path)
 
 
