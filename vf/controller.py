@@ -266,6 +266,7 @@ class Controller:
         _, J = arm.kinematics(0.5 * (arm.lower + arm.upper))
         self._bulge = 1.5 * problem.sagitta(J, self._reach, 1.0, self._table[problem.REVOLUTE])
         self._bulge *= guarded
+        self._beyond = guarded * self.settings.standoff
         queries = max(len(self.fixtures), 1)
         self._reserve(queries * BUDGET)
         self._buffer = Buffer(queries)
@@ -345,8 +346,10 @@ class Controller:
         radius = self._asked or self._farthest(J)
         inside = self._sides(q, x)
         planes: Planes | None = None
-        # More than a quarter would cost more planes than a longer step is worth.
-        searched = radius + min(self._bulge, 0.25 * radius)
+        # The ball searched reaches a standoff beyond the motion sphere, or a step to its rim could
+        # end right at a triangle outside, and as far as the path may leave the chord; more than a
+        # quarter of the radius would cost more planes than a longer step is worth.
+        searched = radius + min(self._bulge, 0.25 * radius) + self._beyond
         found = None if True in inside else self._filled(x, searched)
         if found is not None:
             half: Planes | Buffer = self._buffer
@@ -356,10 +359,11 @@ class Controller:
             m, reach = len(planes), planes.radius
             if m > self._qp.rows:
                 self._reserve(2 * m)
-        # The path may use all of `reach`; the step ends within the motion sphere.
+        # The step ends within the motion sphere, and its path within what was searched for it.
         allowed_radius = min(reach, radius)
         floors = half.floors if half.floors is not None else self._none[:m]
-        limits = (reach, min(allowed_radius, self._tip_reach))
+        farthest = reach - self._beyond if reach >= searched else reach
+        limits = (farthest, min(allowed_radius, self._tip_reach))
         time_planes = perf_counter()
 
         q_new = np.empty(len(q))

@@ -93,12 +93,13 @@ def drive(
         scene: what else stands around the tip.
         noise: bound on the actuation error at the tip added after every tick, as a share of the
             motion sphere's radius. The standoff is set to four times it (at least the default):
-            an error larger than the standoff cannot be promised away by any planes.
+            an error larger than the standoff cannot be promised away by any planes, nor one larger
+            than the room there is: in a narrow scene there is none.
         outside_of: start only outside this closed surface (the mesh before it was damaged).
     """
     rng = np.random.default_rng(seed)
     result = Drive()
-    bound = noise * (radius if radius is not None else 5e-4)
+    bound = 0.0 if scene.narrow else noise * (radius if radius is not None else 5e-4)
     tip_radius = max(tip_radius, scene.tip_radius)
     settings = vf.Settings(
         dt=scene.period, standoff=max(scene.standoff, 4.0 * bound), tip_radius=tip_radius

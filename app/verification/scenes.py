@@ -31,6 +31,7 @@ class Scene:
         standoff: [m].
         tip_radius: [m].
         period: of the control loop [s].
+        narrow: whether the tool may have less room than an actuation error takes.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Scene:
     standoff: float = vf.Settings.standoff
     tip_radius: float = 0.0
     period: float = vf.Settings.dt
+    narrow: bool = False
 
 
 PLAIN = Scene("one mesh")
@@ -48,9 +50,9 @@ SCENES = (
     Scene("three meshes", meshes=3),
     Scene("wide standoff, ball", standoff=1e-3, tip_radius=1e-3),
     Scene("low rate", period=0.02),
-    Scene("mesh and corridor, wide standoff", corridor=True, standoff=1e-3),
+    Scene("mesh and corridor, wide standoff", corridor=True, standoff=1e-3, narrow=True),
     Scene("budget spent, two meshes", meshes=2, pins=True, standoff=1e-3),
-    Scene("two meshes and corridor, ball", meshes=2, corridor=True, tip_radius=5e-4),
+    Scene("two meshes and corridor, ball", meshes=2, corridor=True, tip_radius=5e-4, narrow=True),
 )
 
 

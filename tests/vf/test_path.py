@@ -141,3 +141,14 @@ def test_every_setting_has_a_range_and_becomes_a_float() -> None:
         ):
             with pytest.raises(ValueError, match=name):
                 vf.Settings(**{name: bad})
+
+
+@pytest.mark.parametrize("beyond", [1e-9, 4e-6, 15e-6])
+def test_a_step_to_the_rim_of_the_ball_keeps_the_standoff_from_what_is_just_outside(beyond) -> None:
+    arm, radius = robots.load("point"), 1e-3
+    tip = arm.tip(arm.neutral)
+    surface = floor_below(tip.translation, radius + beyond)
+    controller = vf.Controller(arm, [vf.MeshFixture(surface, radius=radius)], vf.Settings(dt=2e-2))
+    goal = pin.SE3(tip.rotation, tip.translation - [0.0, 0.0, 0.01])
+    step = controller.step(arm.neutral, goal)
+    assert surface.nearest(step.tip.translation)[0] > 0.99 * vf.Settings.standoff
