@@ -394,9 +394,6 @@ def test_3mf_components_transforms_and_parts(tmp_path: Path) -> None:
     np.testing.assert_allclose(vertices * 1e3, wanted, atol=1e-12)
     assert trimesh.Trimesh(vertices, faces, process=False).volume == pytest.approx(3e-6 / 6)
     # Written by another program.
-    networkx = pytest.importorskip("networkx")
-    pytest.importorskip("lxml")
-    assert networkx
     mesh = trimesh.Trimesh(*meshes.arrays("star-prism"), process=False)
     mesh.apply_scale(1e3)
     mesh.export(path)
