@@ -316,7 +316,7 @@ def test_a_closed_and_a_full_output_are_no_traceback() -> None:
 # Ctrl-C
 
 LONG: list[list[str]] = [
-    ["mesh", "check", "skull-fine"],
+    ["mesh", "check", "skull-fine", "--examine", "1000000"],
     ["verify", "--mesh", "cube", "--steps", "100000000"],
     ["experiment", "calibrate", "--trials", "100"],
     ["experiment", "cutting", "--trials", "1000", "--mesh", "skull-coarse", "--out", "{folder}"],
