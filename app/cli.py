@@ -13,8 +13,8 @@ import app.commands
 from app.choices import check_mesh
 from app.commands import answer
 from app.console import closing, prepare
-from app.presets import find
-from app.scenario import Scenario
+from app.scenarios.file import Scenario
+from app.scenarios.presets import find
 from app.settings import OptionError, Options, parse
 
 ABOUT = """Drag a simulated surgical tool over anatomy; virtual fixtures keep it out.
@@ -58,7 +58,7 @@ def run(words: list[str]) -> int:
 
 def _page(words: list[str]) -> int:
     """Check all that can be checked at once, then start."""
-    from app.serving import serve
+    from app.commands.serve import serve
 
     options, scenario = _wanted(words)
     check_mesh(options.mesh)

@@ -18,18 +18,18 @@ from numpy.typing import ArrayLike
 
 import robots
 import vf
-from app import aside
-from app import scene as scenes
-from app.autopilot import Script
-from app.engine import Orders
-from app.loop import ControlLoop
-from app.mailbox import Mailbox
-from app.messages import Command, Telemetry
-from app.scene import Progress, Scene
+from app.control.autopilot import Script
+from app.control.engine import Orders
+from app.control.loop import ControlLoop
+from app.control.mailbox import Mailbox
+from app.control.messages import Command, Telemetry
+from app.control.teleoperation import Teleop, latch
+from app.control.watch import Crossing, Watch
+from app.recording.capture import Tape
+from app.scene import process as aside
+from app.scene import scene as scenes
+from app.scene.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, in_range
-from app.tape import Tape
-from app.teleop import Teleop, latch
-from app.watch import Crossing, Watch
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
 DEFAULTS = Options()

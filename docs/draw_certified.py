@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
-from app.verification import campaign, oracles
+from app.studies.verification import campaign, oracles
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
-from app.bench.settings import Loop, Meshes, Peers, Runtime, Soak, View
-from app.bench.watcher import NoBrowser
+from app.bench.tools.settings import Loop, Meshes, Peers, Runtime, Soak, View
+from app.bench.tools.watcher import NoBrowser
 from app.commands import answer, interrupted, one_of
 from app.console import console as new_console
 from app.console import progress
@@ -68,7 +68,8 @@ def _measure(arguments: list[str]) -> int:
 
 
 def _runtime(options: Runtime) -> dict[str, Any]:
-    from app.bench import report, runtime
+    from app.bench import runtime
+    from app.bench.tools import report
 
     console = new_console()
     result = _shown(console, lambda say, advance: runtime.run(options, say, advance))
@@ -90,7 +91,8 @@ def _runtime(options: Runtime) -> dict[str, Any]:
 
 
 def _peers(options: Peers) -> dict[str, Any]:
-    from app.bench import peers, report
+    from app.bench import peers
+    from app.bench.tools import report
 
     console = new_console()
     result = _shown(console, lambda say, advance: peers.run(options, say, advance))
@@ -109,7 +111,7 @@ def _told(options: Loop | View | Meshes | Soak, name: str, module: Any) -> dict[
 
 
 def _write(out: Path, name: str, result: dict[str, Any], console: Console) -> None:
-    from app.bench.machine import write
+    from app.bench.tools.machine import write
 
     if not result.get("interrupted"):
         console.print(f"written: {write(out, name, result)}", markup=False)

@@ -17,13 +17,13 @@ from app import choices, limits
 from app.commands import answer, interrupted, one_of
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
 from app.interrupts import interrupts
 from app.limits import Limit, OneOf, Whole
 from app.settings import LIMITS, Length, OptionError, named, parse_as
+from app.studies.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
 
 if TYPE_CHECKING:
-    from app.experiments.protocol import Outcome, Trial
+    from app.studies.experiments.protocol import Outcome, Trial
 
 PROGRAM = "vf-sandbox experiment"
 BROKEN = 1
@@ -175,7 +175,8 @@ def _run(arguments: list[str]) -> int:
 
 
 def _compare(experiment: str, options: Experiment, console: Console) -> int:
-    from app.experiments import analysis, protocol, published, report
+    from app.studies.experiments import protocol
+    from app.studies.results import analysis, published, report
 
     usual = published.TRACING_TRIALS if experiment == "tracing" else published.CUTTING_TRIALS
     trials = [
@@ -205,7 +206,7 @@ def _compare(experiment: str, options: Experiment, console: Console) -> int:
 
 def _shown(trials: list[Trial]) -> list[Outcome]:
     """Do trials one after the other under a progress bar; fewer if it was interrupted."""
-    from app.experiments import protocol
+    from app.studies.experiments import protocol
 
     outcomes: list[Outcome] = []
     with contextlib.suppress(KeyboardInterrupt), progress(
@@ -221,7 +222,8 @@ def _shown(trials: list[Trial]) -> list[Outcome]:
 
 def _power(options: Power, console: Console) -> int:
     from app.commands.study import collect
-    from app.experiments import analysis, protocol, published
+    from app.studies.experiments import protocol
+    from app.studies.results import analysis, published
 
     trials = [
         protocol.Trial("cutting", rule, number, seed=seed, rate=options.rate)
@@ -261,7 +263,7 @@ def _power(options: Power, console: Console) -> int:
 
 
 def _calibrate(options: Calibrate, console: Console) -> int:
-    from app.experiments import calibration, operators
+    from app.studies.experiments import calibration, operators
 
     with console.status("fitting") as status:
         found = calibration.calibrate(options.trials, options.seed, status.update)
@@ -280,9 +282,9 @@ def _calibrate(options: Calibrate, console: Console) -> int:
 
 
 def _replay(options: Replay, console: Console) -> int:
-    from app.experiments import playback, protocol
-    from app.serving import bind_problem
+    from app.commands.serve import bind_problem
     from app.session import Session
+    from app.studies.experiments import playback, protocol
     from app.view.page import Page
 
     if problem := bind_problem(options.host, options.port):

@@ -243,7 +243,7 @@ def _aside(name: str, work: Callable[..., Any]) -> Any:
 
     The last of it are the notes, which are told on stderr.
     """
-    from app import aside
+    from app.scene import process as aside
 
     with _stages() as say:
         if aside.light(name):

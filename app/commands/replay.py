@@ -51,7 +51,7 @@ def main(arguments: list[str]) -> int:
 
 def run(options: Replay) -> int:
     """Do it and print what came of it; returns the exit code."""
-    from app import replay
+    from app.recording import rerun as replay
     from app.recording.read import read
 
     console = new_console(soft_wrap=True)
@@ -59,7 +59,7 @@ def run(options: Replay) -> int:
     for line in summary(recording):
         console.print(escape(line))
     if options.csv is not None:
-        from app import table
+        from app.recording import export as table
 
         table.write(recording, options.csv)
         console.print(escape(f"written: {options.csv}, {count(len(recording.rows), 'line')}"))

@@ -22,13 +22,13 @@ from app import choices, limits
 from app.commands import answer, interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
 from app.limits import Limit, Text, Whole
 from app.settings import OptionError, listed, parse_as
+from app.studies.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
 from app.words import parse_length
 
 if TYPE_CHECKING:
-    from app.experiments.protocol import Outcome, Trial
+    from app.studies.experiments.protocol import Outcome, Trial
 
 PROGRAM = "vf-sandbox study"
 BROKEN = 1
@@ -139,7 +139,7 @@ def _run(arguments: list[str]) -> int:
 
 def run(options: Study, console: Console) -> int:
     """Run the grid and print its summary; returns the exit code."""
-    from app.experiments import study
+    from app.studies import batch as study
 
     trials = study.grid(
         experiments=_words(options.experiment),
@@ -186,7 +186,7 @@ def collect(
     Raises:
         ImportError, OSError: of `study.run_all`, but for the loss of the cluster.
     """
-    from app.experiments import study
+    from app.studies import batch as study
 
     began = perf_counter()
     done: dict[str, Outcome] = {}
@@ -222,7 +222,7 @@ def _cells(outcomes: Sequence[Outcome]) -> list[tuple[tuple[object, ...], list[O
 def _summary(outcomes: list[Outcome]) -> tuple[object, ...]:
     import numpy as np
 
-    from app.experiments import analysis
+    from app.studies.results import analysis
 
     return (
         len(outcomes),

@@ -38,8 +38,8 @@ from app.settings import (
 )
 
 if TYPE_CHECKING:
-    from app.verification.campaign import Cover, Drive
-    from app.verification.scenes import Scene
+    from app.studies.verification.campaign import Cover, Drive
+    from app.studies.verification.scenes import Scene
 
 PROGRAM = "vf-sandbox verify"
 PASSED, BROKEN = 0, 1
@@ -157,9 +157,9 @@ def run(options: Verify, console: Console) -> int:
     import meshes
     import robots
     import vf
-    from app.verification import campaign
-    from app.verification.scenes import SCENES
-    from meshes.damage import damage, kinds
+    from app.studies.verification import campaign
+    from app.studies.verification.scenes import SCENES
+    from meshes.builtin.damage import damage, kinds
 
     arm = robots.load(options.robot)
     if options.mesh == "all":
@@ -300,7 +300,7 @@ def _cells(found: list[Found]) -> list[str]:
 def _show_by_scene(found: list[Found], console: Console) -> None:
     """The same drives by what stood around the tip."""
     import vf
-    from app.verification.scenes import SCENES
+    from app.studies.verification.scenes import SCENES
 
     rows = []
     for scene in SCENES:

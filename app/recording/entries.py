@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from app.autopilot import Course
-from app.engine import State
+from app.control.autopilot import Course
+from app.control.engine import State
 from app.limits import FARTHEST
 from app.recording.format import (
     FORMAT,
@@ -23,7 +23,7 @@ from app.recording.format import (
     Place,
     RecordingError,
 )
-from app.scenario_values import LONGEST
+from app.scenarios.values import LONGEST
 from app.settings import OptionError, Options
 
 COURSE_FARTHEST = 2.0 * FARTHEST  # [m] of a scenario's place in its mesh, which is placed in turn

@@ -37,8 +37,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.autopilot import Course
-from app.engine import State
+from app.control.autopilot import Course
+from app.control.engine import State
 from app.settings import Options
 
 FORMAT, VERSION = "vf-sandbox recording", 2

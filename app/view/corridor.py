@@ -8,8 +8,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.messages import Telemetry
-from app.scene import DEFAULT_WIDTH, Scene, corridor
+from app.control.messages import Telemetry
+from app.scene.scene import DEFAULT_WIDTH, Scene, corridor
 from app.settings import RANGES
 from app.view import palette
 from app.view.feature import Stage

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import viser
 
+from app.control.watch import Crossing
 from app.view import palette
 from app.view.units import to_view
-from app.watch import Crossing
 
 
 class CrossingMark:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import vf
-from app.meeting import sees
-from app.scene import Scene
-from app.verification.oracles import SCRATCH
-from app.watch import Crossing
+from app.control.meeting import sees
+from app.control.watch import Crossing
+from app.scene.scene import Scene
+from app.studies.verification.oracles import SCRATCH
 from robots import Arm
 
 FloatArray = NDArray[np.float64]

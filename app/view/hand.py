@@ -13,7 +13,7 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
-from app.loop import VIEW_PRIORITY, prefer_this_thread
+from app.control.loop import VIEW_PRIORITY, prefer_this_thread
 from app.session import Refused, Session
 from app.view import who
 from app.view.proxy import Proxy

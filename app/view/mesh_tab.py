@@ -13,13 +13,13 @@ from typing import Any
 import viser
 
 import meshes
-from app import aside
+from app.control.messages import Telemetry
 from app.files import size
-from app.library import Kept
-from app.measure import measure
-from app.messages import Telemetry
 from app.recording.outline import outline
-from app.scene import Scene
+from app.scene import process as aside
+from app.scene.library import Kept
+from app.scene.measure import measure
+from app.scene.scene import Scene
 from app.session import Refused
 from app.view import dialogs, health, palette
 from app.view.feature import Stage

@@ -15,8 +15,8 @@ import viser
 import meshes
 import robots
 import vf
-from app.library import Library
-from app.player import Moment
+from app.recording.playback import Moment
+from app.scene.library import Library
 from app.session import Session
 from app.settings import RANGES
 from app.view import palette, readouts, style

@@ -13,11 +13,11 @@ import platformdirs
 import viser
 
 from app import files
-from app.messages import Telemetry
+from app.control.messages import Telemetry
 from app.recording.format import SUFFIX
 from app.recording.outline import outline
 from app.recording.read import read, under_way
-from app.scene import Scene
+from app.scene.scene import Scene
 from app.session import Refused
 from app.view import dialogs, palette
 from app.view.feature import Stage

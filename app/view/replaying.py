@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.player import Moment, Player, Transport, build_scenes
 from app.recording.format import Recording
+from app.recording.playback import Moment, Player, Transport, build_scenes
 from app.session import Refused
 from app.view import camera
 from app.view.feature import Stage

@@ -15,11 +15,11 @@ import numpy as np
 import viser
 
 import meshes
-from app.course import present, stage
-from app.messages import Telemetry
-from app.presets import PRESETS
-from app.scenario import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
-from app.scene import Scene
+from app.control.messages import Telemetry
+from app.scenarios.file import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
+from app.scenarios.presets import PRESETS
+from app.scenarios.staging import present, stage
+from app.scene.scene import Scene
 from app.settings import OptionError, format_length
 from app.view import camera, palette
 from app.view.feature import Stage

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from app.player import Moment
+from app.recording.playback import Moment
 from app.session import Session
 
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 import pytest
 
 from app import session as sessions
-from app.mailbox import Mailbox
+from app.control.mailbox import Mailbox
 
 ROOT = Path(__file__).parents[2]
 

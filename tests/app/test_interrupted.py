@@ -16,12 +16,13 @@ from typing import Any
 import pytest
 
 import meshes
-from app import replay as replays
 from app.__main__ import main
-from app.experiments import calibration, protocol, study
+from app.recording import rerun as replays
 from app.session import Session
 from app.settings import Options
-from app.verification import campaign
+from app.studies import batch as study
+from app.studies.experiments import calibration, protocol
+from app.studies.verification import campaign
 
 ROOT = Path(__file__).parents[2]
 SHORT = ["--rate", "50", "--length", "2mm"]

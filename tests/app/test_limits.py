@@ -12,13 +12,13 @@ import meshes
 import robots
 import vf
 from app import choices, limits
-from app.experiments import protocol, site
 from app.limits import File, Length, Number, OneOf, Place, Switch, Text, Turn, Whole
-from app.presets import PRESETS
-from app.scenario import SCENARIO, Scenario, Waypoint
-from app.scenario_values import WAYPOINT
+from app.scenarios.file import SCENARIO, Scenario, Waypoint
+from app.scenarios.presets import PRESETS
+from app.scenarios.values import WAYPOINT
 from app.settings import LIMITS, OptionError, Options
-from meshes.damage import kinds
+from app.studies.experiments import protocol, site
+from meshes.builtin.damage import kinds
 
 TABLES: dict[type, dict[str, limits.Limit]] = {
     Options: LIMITS,

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from watching import Visitor, settle
 
-from app.bench import watcher
+from app.bench.tools import watcher
 from app.session import Session
 from app.settings import Options
 from app.view import Page

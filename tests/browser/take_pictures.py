@@ -24,11 +24,11 @@ from playwright.sync_api import sync_playwright
 from watching import Visitor, settle, wait_until
 
 import meshes
-from app.bench.watcher import ARGUMENTS, chromium
+from app.bench.tools.watcher import ARGUMENTS, chromium
 from app.session import Session
 from app.settings import Options
 from app.view import Page, camera
-from meshes.damage import damage
+from meshes.builtin.damage import damage
 
 PUSH = np.array([0.012, 0.022, -0.0265])  # from the start into the bone [m]
 DRAWN = 4000  # what a software renderer may take for the last picture [ms]

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
-from app import replay
+from app.recording import rerun as replay
 from app.recording.read import read
 from app.session import Session
 from app.settings import Options

@@ -10,9 +10,9 @@ import pytest
 from watching import Visitor, drawn_share, wait_until
 
 import meshes
-from app.course import begin
-from app.presets import PRESETS
-from app.scenario import read
+from app.scenarios.file import read
+from app.scenarios.presets import PRESETS
+from app.scenarios.staging import begin
 from app.session import Session
 from app.settings import Options
 from app.view import Page

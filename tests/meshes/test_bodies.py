@@ -13,8 +13,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshes.health import health
-from meshes.repair import repair
+from meshes.checks.health import health
+from meshes.checks.repair import repair
 
 Mesh = tuple[np.ndarray, np.ndarray]
 WHOLE, HOLED, TORN, FINNED, UNWELDED = "whole", "holed", "torn", "finned", "unwelded"

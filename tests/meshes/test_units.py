@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 import meshes
 from app.__main__ import main
-from app.scenario import read
-from app.scene import build
+from app.scenarios.file import read
+from app.scene.scene import build
 from app.settings import Options
 from meshes import units
 

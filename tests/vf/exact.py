@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 import vf
-from app.verification import exact
+from app.studies.verification import exact
 
 
 def soup(triangles: np.ndarray) -> vf.Surface:

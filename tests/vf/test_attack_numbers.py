@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 import vf
-from app.verification.exact import distance2
+from app.studies.verification.exact import distance2
 
 STANDOFF = 20e-6
 ONE = np.eye(3)[None]

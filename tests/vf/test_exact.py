@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vf
-from app.verification.exact import distance2, uncovered
+from app.studies.verification.exact import distance2, uncovered
 
 FLOOR = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
 

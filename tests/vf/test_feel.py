@@ -14,7 +14,7 @@ from everyday import everyday
 import meshes
 import robots
 import vf
-from app.verification import campaign, oracles
+from app.studies.verification import campaign, oracles
 
 MM, UM = 1e-3, 1e-6
 CURVED = ("torus", "sphere", "gyroid", "saddle-slab", "skull-coarse")

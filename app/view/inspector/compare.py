@@ -13,8 +13,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
-from app import scene as scenes
-from app.scene import Scene
+from app.scene import scene as scenes
+from app.scene.scene import Scene
 from app.settings import Options
 from app.view.inspector.picking import distances
 

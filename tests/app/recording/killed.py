@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from app import scene as scenes
-from app.engine import Engine, Orders, Plant
-from app.messages import Command, LoopStats
-from app.scene import Scene
+from app.control.engine import Engine, Orders, Plant
+from app.control.messages import Command, LoopStats
+from app.recording.capture import Tape
+from app.scene import scene as scenes
+from app.scene.scene import Scene
 from app.settings import Options
-from app.tape import Tape
 
 CUBE = Options(mesh="cube", robot="point")
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from app import scene as scenes
-from app.engine import Engine, Orders
-from app.messages import Command, LoopStats
+from app.control.engine import Engine, Orders
+from app.control.messages import Command, LoopStats
 from app.recording.write import Recorder
+from app.scene import scene as scenes
 from app.settings import Options
 
 CUBE = Options(mesh="cube", robot="point")

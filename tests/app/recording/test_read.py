@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from forgery import MAGIC, Change, blocks, chain, forged, npy, pack
 
-from app import replay
+from app.recording import rerun as replay
 from app.recording.format import ROWS, RecordingError
 from app.recording.read import read
 

@@ -18,14 +18,16 @@ from forgery import forged, npy
 from runs import a_run
 
 import meshes
-from app import player, replay, table
-from app import scene as scenes
 from app.commands import replay as command
-from app.engine import Engine, Orders
-from app.messages import Command, LoopStats
+from app.control.engine import Engine, Orders
+from app.control.messages import Command, LoopStats
+from app.recording import export as table
+from app.recording import playback as player
+from app.recording import rerun as replay
 from app.recording.format import COMPARED, RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
+from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
 

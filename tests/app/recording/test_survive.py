@@ -16,8 +16,8 @@ import killed
 import numpy as np
 import pytest
 
-from app import replay
 from app.commands import replay as command
+from app.recording import rerun as replay
 from app.recording.format import RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder

@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app import replay, tape
+from app.recording import capture as tape
+from app.recording import rerun as replay
 from app.recording.read import read
 from app.session import Refused, Session
 from app.settings import Options

@@ -1,0 +1,168 @@
+"""`vf-sandbox` without a command: a session and its page, from the first step to Ctrl-C."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import threading
+import time
+import webbrowser
+from types import TracebackType
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from app.console import console as new_console
+from app.interrupts import interrupts
+from app.scenarios.file import Scenario
+from app.settings import OptionError, Options, format_length
+
+
+def serve(options: Options, scenario: Scenario | None = None) -> int:
+    """Start session and page, and keep them until Ctrl-C; returns the exit code.
+
+    Args:
+        scenario: what to begin with; the options have its settings in them.
+
+    Raises:
+        ValueError, OSError: a name, a mesh or an address that cannot be used.
+    """
+    if problem := bind_problem(options.host, options.port):
+        raise OptionError(problem)
+    console = new_console()
+    console.print(
+        f"[bold]vf-sandbox[/]: {escape(options.mesh)}, {options.robot}, rule {options.rule}, "
+        f"motion sphere {format_length(options.radius)}, {options.rate:g} Hz"
+    )
+    began = time.perf_counter()
+    with _Steps(console) as step:
+        step("loading libraries")
+        from app.control.loop import prefer_this_process
+        from app.session import Session
+
+        prefer_this_process()
+
+        session = Session(options, progress=step)
+        tape = None if options.record is None else session.record(options.record)
+        with session:
+            step("opening the page")
+            from app.view.page import Page
+
+            page = Page(session, options.host, options.port, scenario)
+            try:
+                if scenario is not None:
+                    from app.scenarios.staging import begin
+
+                    begin(scenario, session)
+                step.done()
+                for note in session.scene.notes:
+                    console.print(f"  [yellow]![/] {escape(note)}")
+                if tape is not None and tape.elsewhere:
+                    note = f"Recording to {tape.path}.{tape.elsewhere}"
+                    console.print(f"  [yellow]![/] {escape(note)}")
+                with interrupts() as wait:
+                    console.print(
+                        f"Ready after {time.perf_counter() - began:.1f} s. "
+                        f"Open [bold]{escape(page.url)}[/] (Ctrl-C ends)",
+                        soft_wrap=True,
+                    )
+                    if page.warning:
+                        console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
+                    if options.open:
+                        _show(page.url, console)
+                    wait()
+                    console.print("Closing.")
+                return 0
+            finally:
+                page.close()
+                if tape is not None:
+                    tape.finish()
+                    console.print(escape(tape.outcome))
+
+
+def bind_problem(host: str, port: int) -> str | None:
+    """Why the page could not listen on this address, or None if it could.
+
+    Tried beforehand because viser moves on to the next port when one is taken, and hangs on an
+    address that is not ours.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with socket.socket(family, kind, protocol) as attempt:
+            # As the server will: a port in TIME_WAIT is not taken.
+            attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            attempt.bind(address)
+            attempt.listen(1)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return (
+                f"port {port} on {host} is taken: "
+                "choose another with --port, or --port 0 for any free one"
+            )
+        return (
+            f"cannot listen on host '{host}', port {port} ({error.strerror or error}): "
+            "--host takes an address of this machine, such as 127.0.0.1 or 0.0.0.0"
+        )
+    return None
+
+
+def _show(url: str, console: Console) -> None:
+    """Open the address in the user's browser, which may be a program that this one waits for."""
+
+    def browse() -> None:
+        if not webbrowser.open(url):
+            console.print("  [yellow]![/] no browser was found: open the address yourself")
+
+    threading.Thread(target=browse, name="browser", daemon=True).start()
+
+
+class _Steps:
+    """Shows the step under way with the time it takes, and leaves a line for each one done."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
+        self._text = ""
+        self._since = 0.0
+
+    def __enter__(self) -> _Steps:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def __call__(self, text: str) -> None:
+        """Begin a step; the one before it is done."""
+        self._finish()
+        self._text, self._since = escape(text), time.perf_counter()
+        for task in self._progress.task_ids:
+            self._progress.remove_task(task)
+        self._progress.add_task(self._text, total=None)
+        if not self._console.is_terminal:
+            self._console.print(f"  {self._text} …")
+
+    def done(self) -> None:
+        """The last step is done: stop showing progress."""
+        self._finish()
+        self._progress.stop()
+
+    def _finish(self) -> None:
+        if self._text and self._console.is_terminal:
+            seconds = time.perf_counter() - self._since
+            self._console.print(f"  [green]✓[/] {self._text} [dim]{seconds:.1f} s[/]")
+        self._text = ""
