@@ -26,8 +26,8 @@ from app.control.messages import Command, Telemetry
 from app.control.teleoperation import Teleop, latch
 from app.control.watch import Crossing, Watch
 from app.recording.capture import Tape
-from app.scene import process as aside
 from app.scene import scene as scenes
+from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.settings import MESH, OptionError, Options, in_range
 
@@ -71,7 +71,7 @@ class Session:
         plant = scenes.plant(self.scene, options)
         self._lock = threading.RLock()  # writers only; the loop and `latest` never take it
         self._changing = threading.Lock()
-        self._stop = aside.Stop()  # of the newest change
+        self._stop = worker.Stop()  # of the newest change
         self._orders = Orders(
             plant,
             Command(None, 0, stamp=time.monotonic()),
@@ -433,7 +433,7 @@ class Session:
             pass  # refused now rather than after the scene is built
         if not self._changing.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
-        self._stop = stop = aside.Stop()
+        self._stop = stop = worker.Stop()
         try:
             wanted: dict[str, Any] = {}
             if mesh is not None:
@@ -445,9 +445,9 @@ class Session:
             options = replace(self.options, **wanted)
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
-            new = aside.build(options, self.scene.version + 1, arm, progress, stop)
+            new = worker.build(options, self.scene.version + 1, arm, progress, stop)
             if stop.asked:
-                raise aside.Stopped("stopped: nothing is changed")
+                raise worker.Stopped("stopped: nothing is changed")
             with self._lock:
                 # Settings may have moved on while the scene was being built.
                 options = replace(self.options, **wanted)

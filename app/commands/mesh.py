@@ -243,13 +243,13 @@ def _aside(name: str, work: Callable[..., Any]) -> Any:
 
     The last of it are the notes, which are told on stderr.
     """
-    from app.scene import process as aside
+    from app.scene import worker
 
     with _stages() as say:
-        if aside.light(name):
+        if worker.light(name):
             result = work(progress=say)
         else:
-            result = aside.run(work, aside.allowance(name), say)
+            result = worker.run(work, worker.allowance(name), say)
     for note in result[-1]:
         print(f"vf-sandbox mesh: note: {note}", file=sys.stderr)
     return result

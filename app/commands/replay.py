@@ -51,7 +51,7 @@ def main(arguments: list[str]) -> int:
 
 def run(options: Replay) -> int:
     """Do it and print what came of it; returns the exit code."""
-    from app.recording import rerun as replay
+    from app.recording import rerun
     from app.recording.read import read
 
     console = new_console(soft_wrap=True)
@@ -59,9 +59,9 @@ def run(options: Replay) -> int:
     for line in summary(recording):
         console.print(escape(line))
     if options.csv is not None:
-        from app.recording import export as table
+        from app.recording import export
 
-        table.write(recording, options.csv)
+        export.write(recording, options.csv)
         console.print(escape(f"written: {options.csv}, {count(len(recording.rows), 'line')}"))
         if not options.check:
             return SAME
@@ -75,11 +75,11 @@ def run(options: Replay) -> int:
 
     try:
         if options.check:
-            difference = replay.first_difference(
+            difference = rerun.first_difference(
                 recording, options.mesh, options.path, repeated=repeated
             )
         else:
-            for _ in replay.rerun(recording, options.mesh, options.path):
+            for _ in rerun.rerun(recording, options.mesh, options.path):
                 done += 1
     except KeyboardInterrupt:
         same = ", all the same to the last bit" if options.check else ""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
-from app.recording import rerun as replay
+from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
 from app.scene import scene as scenes
@@ -51,7 +51,7 @@ def build_scenes(
             assert like is not None
             built.append(like)
         else:
-            built.append(replay.build(recording, k, version + k, progress=progress))
+            built.append(rerun.build(recording, k, version + k, progress=progress))
     return tuple(built)
 
 

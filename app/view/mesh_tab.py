@@ -16,7 +16,7 @@ import meshes
 from app.control.messages import Telemetry
 from app.files import size
 from app.recording.outline import outline
-from app.scene import process as aside
+from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
 from app.scene.scene import Scene
@@ -45,7 +45,7 @@ class MeshTab:
         self._escape = stage.escape
         self._drawing = health.HealthDrawing(stage.server.scene)
         self._busy = threading.Lock()
-        self._stop = aside.Stop()  # of the newest measuring
+        self._stop = worker.Stop()  # of the newest measuring
         self._scene: Scene | None = None  # what is drawn
         # The scene that the report is on, the report and its marks.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
@@ -249,11 +249,11 @@ class MeshTab:
     def _measured(self, path: Path) -> tuple[float, str | None]:
         """The file's diagonal in its own unit, and that unit if it says it."""
         work = functools.partial(measure, str(path))
-        if aside.light(str(path)):
+        if worker.light(str(path)):
             return work(progress=self._progress)
-        self._stop = stop = aside.Stop()
-        allowed = aside.allowance(str(path))
-        found: tuple[float, str | None] = aside.run(work, allowed, self._progress, stop)
+        self._stop = stop = worker.Stop()
+        allowed = worker.allowance(str(path))
+        found: tuple[float, str | None] = worker.run(work, allowed, self._progress, stop)
         return found
 
     def _keep(self, path: Path, **wanted: Any) -> None:

@@ -17,7 +17,6 @@ import pytest
 
 import meshes
 from app.__main__ import main
-from app.recording import rerun as replays
 from app.session import Session
 from app.settings import Options
 from app.studies import batch as study
@@ -108,7 +107,7 @@ def test_a_replay_tells_how_far_it_is_the_same(
         tape = session.record(str(path))
         wait_until(lambda: session.latest().tick > 10)
         tape.finish()
-    whole = replays.rerun
+    whole = rerun_module.rerun
 
     def rerun(*arguments: Any, **keywords: Any) -> Any:
         for k, row in enumerate(whole(*arguments, **keywords)):
@@ -116,7 +115,7 @@ def test_a_replay_tells_how_far_it_is_the_same(
                 raise KeyboardInterrupt
             yield row
 
-    monkeypatch.setattr(replays, "rerun", rerun)
+    monkeypatch.setattr(rerun_module, "rerun", rerun)
     assert main(["replay", str(path)]) == 130
     assert "interrupted: 2 of " in capsys.readouterr().err
     assert main(["replay", str(path), "--check"]) == 130

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
-from app.recording import rerun as replay
+from app.recording import rerun
 from app.recording.read import read
 from app.session import Session
 from app.settings import Options
@@ -77,7 +77,7 @@ def test_a_user_records_replays_scrubs_and_takes_pictures(
     visitor.tab.get_by_text("Recorded ").first.wait_for(timeout=20_000)
     recording = read(session.tape.path)
     assert recording.rows["planes"].max() > 0
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
     visitor.picture("recorded")
 
     visitor.press("Replay")

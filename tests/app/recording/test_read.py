@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from forgery import MAGIC, Change, blocks, chain, forged, npy, pack
 
-from app.recording import rerun as replay
+from app.recording import rerun
 from app.recording.format import ROWS, RecordingError
 from app.recording.read import read
 
@@ -273,7 +273,7 @@ def test_a_forged_copy_without_changes_is_sound(sound: Path, tmp_path: Path, ver
     assert copy.orders.tobytes() == whole.orders.tobytes()
     assert copy.rows.tobytes() == whole.rows.tobytes()
     assert copy.plants == whole.plants
-    assert replay.first_difference(copy) is None
+    assert rerun.first_difference(copy) is None
 
 
 @pytest.mark.parametrize("content", [b"PK", b"not a zip at all" * 50])

@@ -21,9 +21,7 @@ import meshes
 from app.commands import replay as command
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats
-from app.recording import export as table
-from app.recording import playback as player
-from app.recording import rerun as replay
+from app.recording import export, playback, rerun
 from app.recording.format import COMPARED, RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
@@ -95,7 +93,7 @@ def test_a_session_is_repeated_to_the_last_bit(session_file: Path) -> None:
     assert recording.orders["resets"][-1] == 1
     assert recording.rows["planes"].max() > 0
     assert recording.state.tick > 0  # it began in the middle
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
 
 
 @pytest.mark.parametrize("field", COMPARED)
@@ -105,12 +103,12 @@ def test_one_changed_bit_is_found_and_named(sound: Path, field: str) -> None:
     at = 40
     if field == "order":
         rows[field][at] += 1
-        same = replay.compare(recording.rows, rows)
+        same = rerun.compare(recording.rows, rows)
     else:
         raw = rows[field][at : at + 1].copy()
         raw.view(np.uint8).reshape(-1)[0] ^= 1
         rows[field][at : at + 1] = raw
-        same = replay.first_difference(replace(recording, rows=rows))
+        same = rerun.first_difference(replace(recording, rows=rows))
     assert same is not None
     assert (same.row, same.field) == (at, field)
     assert f"{field} differs" in str(same)
@@ -120,7 +118,7 @@ def test_a_changed_command_shows_in_the_joints(sound: Path) -> None:
     recording = read(sound)
     orders = recording.orders.copy()
     orders["target"][1, 0] = np.nextafter(orders["target"][1, 0], 1.0)
-    found = replay.first_difference(replace(recording, orders=orders))
+    found = rerun.first_difference(replace(recording, orders=orders))
     assert found is not None
     assert found.tick == 4  # the first tick with that command
 
@@ -164,21 +162,21 @@ def test_csv_has_a_line_a_tick_and_its_units(sound: Path, tmp_path: Path) -> Non
     assert lines[0]["proxy x [m]"] == ""  # there was no target yet
     assert lines[30]["rule"] == "certified"
     with pytest.raises(RecordingError, match="exists already"):
-        table.write(recording, out)
+        export.write(recording, out)
 
 
 def test_a_mesh_that_has_changed_is_refused(sound: Path) -> None:
     recording = read(sound)
     with pytest.raises(RecordingError, match=r"not the one that was recorded: .* triangles"):
-        replay.first_difference(recording, mesh="stairs")
+        rerun.first_difference(recording, mesh="stairs")
     with pytest.raises(ValueError, match="no-such-mesh"):
-        replay.first_difference(recording, mesh="no-such-mesh")
+        rerun.first_difference(recording, mesh="no-such-mesh")
 
 
 def test_any_row_is_shown_as_it_was(session_file: Path) -> None:
     recording = read(session_file)
-    said = [telemetry for _, telemetry, _ in replay.rerun(recording)]
-    show = player.Player(recording, player.build_scenes(recording, 1))
+    said = [telemetry for _, telemetry, _ in rerun.rerun(recording)]
+    show = playback.Player(recording, playback.build_scenes(recording, 1))
     assert len(show) == len(said)
     rng = np.random.default_rng(3)
     turns = rng.integers(1, len(said), 60)
@@ -206,16 +204,16 @@ def test_any_row_is_shown_as_it_was(session_file: Path) -> None:
 def test_a_scene_like_the_present_one_is_not_built_again(sound: Path) -> None:
     recording = read(sound)
     present = scenes.build(CUBE, 7)
-    assert player.build_scenes(recording, 100, like=present) == (present,)
+    assert playback.build_scenes(recording, 100, like=present) == (present,)
     other = scenes.build(replace(CUBE, mesh="stairs"), 8)
-    (built,) = player.build_scenes(recording, 100, like=other)
+    (built,) = playback.build_scenes(recording, 100, like=other)
     assert built.version == 100
 
 
 def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [50.0]
-    monkeypatch.setattr(player.time, "monotonic", lambda: clock[0])
-    transport = player.Transport(np.arange(101) * 0.01)
+    monkeypatch.setattr(playback.time, "monotonic", lambda: clock[0])
+    transport = playback.Transport(np.arange(101) * 0.01)
     assert transport.row() == 0
     clock[0] += 5.0
     assert transport.row() == 0  # it rests until told to play
@@ -245,7 +243,7 @@ def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize("dt", [0.002, 0.001, 1 / 3000])
 def test_a_replay_seeks_to_the_row_whose_time_is_given_in_milliseconds(dt: float) -> None:
     times = np.arange(3000) * dt
-    transport = player.Transport(times)
+    transport = playback.Transport(times)
     for row in range(0, 3000, 7):
         transport.seek(round(float(times[row]), 3))
         assert abs(times[transport.row()] - times[row]) <= 0.5e-3
@@ -266,7 +264,7 @@ def test_one_order_that_counts_from_the_first_row_to_the_last_is_repeated(tmp_pa
     recorder.close()
     recording = read(recorder.path)
     assert recording.rows["order"].tolist() == [1] * 5
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
 
 
 @pytest.mark.parametrize("name", ["a\u200cb \u202e", "two\nlines", "\udce9t\udce9", "頭 {}[red]"])
@@ -299,7 +297,7 @@ def test_a_mesh_whose_unit_was_guessed_when_it_was_recorded_is_found_by_its_chec
 
     old = read(forged(tmp_path / "run.vfrec", tmp_path, guessed, version=1))
     assert old.places[0].options.unit is None
-    assert replay.first_difference(old) is None
+    assert rerun.first_difference(old) is None
     trimesh.creation.box((3.0, 3.0, 2.1)).export(tmp_path / "box.stl")
     with pytest.raises(meshes.UnitNeeded):
-        replay.first_difference(old)
+        rerun.first_difference(old)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from app.commands import replay as command
-from app.recording import rerun as replay
+from app.recording import rerun
 from app.recording.format import RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
@@ -77,7 +77,7 @@ def test_a_recording_survives_a_kill_at_any_moment(
         assert recording.cut.startswith(
             f"The recording was cut off: {len(recording.rows) * 1e-3:.2f} "
         )
-        assert replay.first_difference(recording) is None
+        assert rerun.first_difference(recording) is None
 
 
 def test_the_command_line_says_what_is_left_and_what_is_not(
@@ -114,7 +114,7 @@ def test_a_second_session_with_this_name_takes_another_and_what_is_there_stays(
     before = remains.read_bytes()
     for path in (remains, tmp_path / "run-2.vfrec"):
         assert read(path).cut == ""
-        assert replay.first_difference(read(path)) is None
+        assert rerun.first_difference(read(path)) is None
     # Nor does a third one that begins and is cut off touch them.
     Recorder(remains).discard()
     assert remains.read_bytes() == before
@@ -195,7 +195,7 @@ def kept(folder: Path, outcome: str, limit: int) -> None:
     assert "No space left" in outcome or "File too large" in outcome
     # There may have been no room for the end of it.
     assert "cut off" in recording.cut or (recording.note and recording.note in outcome)
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
     assert path.stat().st_size > 0.2 * limit
 
 

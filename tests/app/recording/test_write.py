@@ -10,8 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.recording import capture as tape
-from app.recording import rerun as replay
+from app.recording import capture, rerun
 from app.recording.read import read
 from app.session import Refused, Session
 from app.settings import Options
@@ -67,14 +66,14 @@ def test_one_recording_at_a_time(tmp_path: Path, wait_until: Wait) -> None:
         again = session.record(tmp_path / "b.vfrec")
         wait_until(lambda: again.rows > 0)
     assert {p.name for p in tmp_path.iterdir()} == {"a.vfrec", "b.vfrec"}
-    assert replay.first_difference(read(tmp_path / "b.vfrec")) is None
+    assert rerun.first_difference(read(tmp_path / "b.vfrec")) is None
 
 
 def test_a_writer_that_falls_behind_ends_the_recording_not_the_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Wait
 ) -> None:
-    monkeypatch.setattr(tape, "BEHIND", 5)
-    monkeypatch.setattr(tape, "PERIOD", 0.1)
+    monkeypatch.setattr(capture, "BEHIND", 5)
+    monkeypatch.setattr(capture, "PERIOD", 0.1)
     with Session(CUBE) as session:
         going = session.record(tmp_path / "a.vfrec")
         wait_until(lambda: not going.running)
@@ -84,4 +83,4 @@ def test_a_writer_that_falls_behind_ends_the_recording_not_the_loop(
     recording = read(tmp_path / "a.vfrec")
     assert len(recording.rows) >= 1
     assert "behind" in recording.note
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None

@@ -25,7 +25,7 @@ from app import cli
 from app.control.autopilot import Course
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats, Telemetry
-from app.recording import rerun as replay
+from app.recording import rerun
 from app.recording.read import read as read_recording
 from app.scenarios.file import (
     SETTINGS,
@@ -582,10 +582,10 @@ def test_a_recorded_scenario_is_repeated_bit_for_bit(
     assert tape.rows > 1500
     recording = read_recording(tmp_path / "plate.vfrec")
     assert any(way is not None for way in recording.courses)
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
     # And only because the course is in it.
     without = replace(recording, courses=(None,) * len(recording.courses))
-    found = replay.first_difference(without)
+    found = rerun.first_difference(without)
     assert found is not None
     assert found.field in ("target", "turns_crc", "q")
 

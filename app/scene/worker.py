@@ -153,7 +153,7 @@ def run(
     say("starting a process for the mesh")
     # Not in the terminal's process group: an interrupt is for the session, which ends this process.
     process = subprocess.Popen(
-        [sys.executable, "-m", "app.scene.process"],
+        [sys.executable, "-m", "app.scene.worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         start_new_session=True,
@@ -365,6 +365,6 @@ def _portable(error: Exception) -> Exception:
 
 if __name__ == "__main__":
     # Under its own name: what is sent back is of this module's classes.
-    from app.scene.process import _main as _named
+    from app.scene.worker import _main as _named
 
     _named()

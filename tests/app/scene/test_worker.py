@@ -21,8 +21,8 @@ import trimesh
 import meshes
 import robots
 from app.__main__ import main
-from app.scene import process as aside
 from app.scene import scene as scenes
+from app.scene import worker
 from app.scene.measure import measure
 from app.session import Session
 from app.settings import Options
@@ -36,7 +36,7 @@ def test_a_scene_from_aside_is_the_one_built_here_and_compiles_nothing() -> None
     words: list[str] = []
     ours = scenes.build(HEAVY, 3)
     scenes.plant(ours, HEAVY)
-    got = aside.build(HEAVY, 3, arm, words.append)
+    got = worker.build(HEAVY, 3, arm, words.append)
     assert got.arm is arm
     assert (got.version, got.mesh_name, got.notes) == (3, ours.mesh_name, ours.notes)
     for name in ("vertices", "faces", "normals", "neighbours", "edges"):
@@ -61,11 +61,11 @@ def test_a_scene_from_aside_is_the_one_built_here_and_compiles_nothing() -> None
 def test_errors_from_aside_are_the_errors_of_here(tmp_path: Path) -> None:
     broken = tmp_path / "broken.obj"
     broken.write_text("f 1 2 3\n")
-    assert not aside.light(str(broken))
+    assert not worker.light(str(broken))
     with pytest.raises(meshes.MeshError) as here:
         scenes.build(Options(mesh=str(broken)), 1)
     with pytest.raises(meshes.MeshError) as there:
-        aside.build(Options(mesh=str(broken)), 1, robots.load("psm"))
+        worker.build(Options(mesh=str(broken)), 1, robots.load("psm"))
     assert str(here.value) == str(there.value)
 
 
@@ -75,7 +75,7 @@ def test_small_things_are_built_here(tmp_path: Path) -> None:
     trimesh.creation.icosphere(5).export(large)
     heavy = {str(large): False, "skull": False, "skull-fine": False}
     quick = {str(small): True, "cube": True, "no-such-mesh": True}
-    assert {name: aside.light(name) for name in heavy | quick} == heavy | quick
+    assert {name: worker.light(name) for name in heavy | quick} == heavy | quick
 
 
 def test_a_process_that_dies_is_an_error_and_leaves_nothing(
@@ -90,8 +90,8 @@ def test_a_process_that_dies_is_an_error_and_leaves_nothing(
         return started[0]
 
     monkeypatch.setattr(subprocess, "Popen", start)
-    with pytest.raises(aside.Ended, match="SIGKILL"):
-        aside.build(HEAVY, 1, robots.load("point"))
+    with pytest.raises(worker.Ended, match="SIGKILL"):
+        worker.build(HEAVY, 1, robots.load("point"))
     assert started[0].returncode == -signal.SIGKILL
 
 
@@ -109,7 +109,7 @@ def test_a_listener_that_raises_ends_the_process(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(subprocess, "Popen", start)
     with pytest.raises(RuntimeError):
-        aside.build(HEAVY, 1, robots.load("point"), refuse)
+        worker.build(HEAVY, 1, robots.load("point"), refuse)
     assert started[0].returncode is not None
 
 
@@ -123,28 +123,28 @@ def work(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("work_for_tests")
 
 
-PLENTY = aside.Allowance(60.0, 4e9)
+PLENTY = worker.Allowance(60.0, 4e9)
 
 
 @pytest.mark.slow
 def test_work_beyond_its_allowance_ends_and_says_why(
     work: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(aside, "_PATIENCE", 1000.0)
-    assert aside.run(partial(work.add, 2, 3), PLENTY) == 5
-    with pytest.raises(aside.Ended, match="more than 1 s of processor time"):
-        aside.run(work.spin, aside.Allowance(1.0, 4e9))
+    monkeypatch.setattr(worker, "_PATIENCE", 1000.0)
+    assert worker.run(partial(work.add, 2, 3), PLENTY) == 5
+    with pytest.raises(worker.Ended, match="more than 1 s of processor time"):
+        worker.run(work.spin, worker.Allowance(1.0, 4e9))
     for take in (work.fill, work.fill_and_blame_the_file):
-        with pytest.raises(aside.Ended, match=r"more than the 0\.3 GB of memory"):
-            aside.run(take, aside.Allowance(60.0, 3e8))
+        with pytest.raises(worker.Ended, match=r"more than the 0\.3 GB of memory"):
+            worker.run(take, worker.Allowance(60.0, 3e8))
     # What waits uses no processor.
-    monkeypatch.setattr(aside, "_PATIENCE", 0.01)
-    with pytest.raises(aside.Ended, match="not done after 1 s"):
-        aside.run(work.wait, aside.Allowance(100.0, 4e9))
+    monkeypatch.setattr(worker, "_PATIENCE", 0.01)
+    with pytest.raises(worker.Ended, match="not done after 1 s"):
+        worker.run(work.wait, worker.Allowance(100.0, 4e9))
 
 
 def test_it_can_be_stopped_while_it_works_and_before(work: ModuleType) -> None:
-    stop = aside.Stop()
+    stop = worker.Stop()
     words: list[str] = []
 
     def listen(text: str) -> None:
@@ -152,29 +152,29 @@ def test_it_can_be_stopped_while_it_works_and_before(work: ModuleType) -> None:
         if text == "waiting":
             stop()
 
-    with pytest.raises(aside.Stopped):
-        aside.run(work.wait, PLENTY, listen, stop)
+    with pytest.raises(worker.Stopped):
+        worker.run(work.wait, PLENTY, listen, stop)
     assert words[-1] == "waiting"
-    with pytest.raises(aside.Stopped):
-        aside.run(work.wait, PLENTY, None, stop)
+    with pytest.raises(worker.Stopped):
+        worker.run(work.wait, PLENTY, None, stop)
     stop()  # nothing is there to be ended
 
 
 def test_an_allowance_goes_with_the_files_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(aside, "_spare", lambda: 4e12)
+    monkeypatch.setattr(worker, "_spare", lambda: 4e12)
     sizes = (421, 1_000_000, 500_000_000)
     found = []
     for size in sizes:
         path = tmp_path / "m.3mf"
         with path.open("wb") as file:
             file.truncate(size)
-        found.append(aside.allowance(str(path)))
+        found.append(worker.allowance(str(path)))
     assert found[1].seconds < 65.0  # no minutes for a megabyte
     assert found[0].memory < found[1].memory < found[2].memory
-    monkeypatch.setattr(aside, "_spare", lambda: 1e9)
-    assert {aside.allowance(str(path)).memory for _ in sizes} == {7.5e8}
+    monkeypatch.setattr(worker, "_spare", lambda: 1e9)
+    assert {worker.allowance(str(path)).memory for _ in sizes} == {7.5e8}
 
 
 def test_a_session_goes_on_when_its_change_is_stopped_or_too_much(
@@ -185,9 +185,9 @@ def test_a_session_goes_on_when_its_change_is_stopped_or_too_much(
     wanted = {"mesh": str(path), "unit": "m"}
     with Session(Options(mesh="cube", robot="point")) as session:
         scene, options = session.scene, session.options
-        with pytest.raises(aside.Stopped):
+        with pytest.raises(worker.Stopped):
             session.change(**wanted, progress=lambda _text: session.stop_change())
-        monkeypatch.setattr(aside, "allowance", lambda _mesh: aside.Allowance(60.0, 1e6))
+        monkeypatch.setattr(worker, "allowance", lambda _mesh: worker.Allowance(60.0, 1e6))
         with pytest.raises(ValueError, match="memory"):
             session.change(**wanted)
         assert (session.scene, session.options) == (scene, options)
@@ -204,7 +204,7 @@ def test_mesh_check_is_held_to_an_allowance(
     out, err = capsys.readouterr()
     assert "sound" in out
     assert "taken to be in mm" in err
-    monkeypatch.setattr(aside, "allowance", lambda _mesh: aside.Allowance(60.0, 1e6))
+    monkeypatch.setattr(worker, "allowance", lambda _mesh: worker.Allowance(60.0, 1e6))
     assert main(["mesh", "check", str(path), "--unit", "mm"]) == 2
     assert "memory" in capsys.readouterr().err
 
