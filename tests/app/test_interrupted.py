@@ -17,6 +17,7 @@ import pytest
 
 import meshes
 from app.__main__ import main
+from app.recording import rerun as rerun_module
 from app.session import Session
 from app.settings import Options
 from app.studies import batch as study
