@@ -282,7 +282,7 @@ def _calibrate(options: Calibrate, console: Console) -> int:
 
 
 def _replay(options: Replay, console: Console) -> int:
-    from app.commands.serve import bind_problem
+    from app.serving import bind_problem
     from app.session import Session
     from app.studies.experiments import playback, protocol
     from app.view.page import Page

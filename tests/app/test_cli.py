@@ -18,7 +18,7 @@ import pytest
 import vf
 from app import choices
 from app.__main__ import main
-from app.commands.serve import bind_problem
+from app.serving import bind_problem
 
 ROOT = Path(__file__).parents[2]
 
