@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-import exact
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import vf
 from app.verification.exact import distance2
+from tests.support import exact
 
 STANDOFF = 20e-6
 ONE = np.eye(3)[None]

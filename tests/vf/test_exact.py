@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-import exact
-import naive
 import numpy as np
 import pytest
 
 import vf
 from app.verification.exact import distance2, uncovered
+from tests.support import exact, naive
 
 FLOOR = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
 

@@ -5,16 +5,16 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pinocchio as pin
 import pytest
-from everyday import everyday
 
 import meshes
 import robots
 import vf
 from app.verification import campaign, oracles
+from tests.support import naive
+from tests.support.everyday import everyday
 
 MM, UM = 1e-3, 1e-6
 CURVED = ("torus", "sphere", "gyroid", "saddle-slab", "skull-coarse")
