@@ -13,12 +13,12 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import pictured
 import pytest
 
 import app.commands
 from app import settings
 from app.commands import bench, experiment, mesh, replay, study, verify
+from tests.support import pictured
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])

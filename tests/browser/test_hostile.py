@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 import pytest
 import viser
-from watching import wait_until
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -20,6 +19,7 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page, recorder, who
 from app.view.units import VIEW_SCALE
+from tests.support.watching import wait_until
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
-from watching import Track, Visitor, drawn_share, settle, wait_until
 
 from app.session import Session
 from app.view import Page
 from app.view.proxy import GIZMO_SIZE
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Track, Visitor, drawn_share, settle, wait_until
 
 MESH = "skull-coarse"  # as the default skull, but a software renderer draws it ten times faster
 

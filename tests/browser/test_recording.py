@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
-from watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
 from app.recording import rerun
 from app.recording.read import read
 from app.session import Session
 from app.settings import Options
 from app.view import Page, pictures, recorder
+from tests.support.watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from watching import Visitor, drawn_share, wait_until
 
 import meshes
 from app.scenarios.file import read
@@ -17,6 +16,7 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 

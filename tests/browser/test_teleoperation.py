@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from watching import Visitor, drawn_share, wait_until
 
 from app.session import Session
 from app.view import Page
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 

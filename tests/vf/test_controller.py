@@ -11,17 +11,17 @@ import subprocess
 import sys
 import tracemalloc
 
-import naive
 import numba.core.event
 import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from everyday import everyday
 
 import meshes
 import robots
 import vf
+from tests.support import naive
+from tests.support.everyday import everyday
 from vf import Status
 
 UM = 1e-6

@@ -5,15 +5,15 @@ from __future__ import annotations
 import heapq
 from dataclasses import replace
 
-import naive
 import numpy as np
 import pytest
 import trimesh
-from everyday import everyday
 from hypothesis import given
 from hypothesis import strategies as st
 
 import vf
+from tests.support import naive
+from tests.support.everyday import everyday
 from vf import cover
 from vf.cover import BUDGET, YIELD
 

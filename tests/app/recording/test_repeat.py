@@ -14,8 +14,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from forgery import forged, npy
-from runs import a_run
 
 import meshes
 from app.commands import replay as command
@@ -28,6 +26,8 @@ from app.recording.write import Recorder
 from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
+from tests.support.forgery import forged, npy
+from tests.support.runs import a_run
 
 CUBE = Options(mesh="cube", robot="point")
 

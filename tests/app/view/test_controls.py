@@ -25,8 +25,7 @@ from app.view.keys import STEPS, Keys, seen_from
 from app.view.script import adding, script
 from app.view.units import VIEW_SCALE
 from app.view.views import Views
-
-WaitUntil = Callable[..., None]
+from tests.support.headless import wait_until
 
 
 class Handle:
@@ -142,9 +141,7 @@ def test_every_key_does_one_thing_and_none_flies_the_camera(panel: Any) -> None:
     assert len({command.label for command in commands.values()}) == len(commands)
 
 
-def test_keys_pause_step_choose_rules_and_reset(
-    panel: Any, session: Session, wait_until: WaitUntil
-) -> None:
+def test_keys_pause_step_choose_rules_and_reset(panel: Any, session: Session) -> None:
     commands = panel.gui.commands()
     me = client()
     press = lambda key, held=None: commands[key, held].act(me)  # noqa: E731
@@ -379,7 +376,7 @@ def test_a_section_keeps_just_what_is_behind_the_plane(anatomy: scenes.Scene) ->
 
 
 def test_the_section_follows_the_tip_and_goes_with_its_client(
-    anatomy: scenes.Scene, monkeypatch: pytest.MonkeyPatch, wait_until: WaitUntil
+    anatomy: scenes.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(section, "PERIOD", 0.0)
     drawn: list[Any] = []

@@ -21,6 +21,7 @@ from app.view.inspector.inspection import Inspector, Question, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.region import allowed_region
 from app.view.worker import Worker
+from tests.support.headless import wait_until
 
 RADIUS = 5e-3
 # Which condition each of the paper's drawings shows for T1 and T2 (its Figures 4 and 5).
@@ -257,7 +258,7 @@ def test_a_ray_finds_the_first_triangle(name):
         pick(surface, [0, 0, 0], [0, 0, 0])
 
 
-def test_the_thread_drops_old_questions_and_ends_when_nobody_asks(wait_until):
+def test_the_thread_drops_old_questions_and_ends_when_nobody_asks():
     done: list[int] = []
     gate = threading.Event()
 
@@ -277,7 +278,7 @@ def test_the_thread_drops_old_questions_and_ends_when_nobody_asks(wait_until):
     wait_until(lambda: worker.newest() == 7)
 
 
-def test_a_failing_answer_leaves_the_last_one_standing(wait_until):
+def test_a_failing_answer_leaves_the_last_one_standing():
     worker: Worker[int, float] = Worker("inspector", lambda q: 1.0 / q)
     worker.ask(2)
     wait_until(lambda: worker.newest() == 0.5)

@@ -6,7 +6,6 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 
-import naive
 import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
@@ -14,6 +13,7 @@ from scipy.optimize import linprog, minimize
 import meshes
 import vf
 from app.studies.verification import oracles
+from tests.support import naive
 
 Vector = list[Fraction]
 

@@ -43,18 +43,24 @@ def unit(rng: np.random.Generator) -> np.ndarray:
 # Closest points
 
 
+def fraction(value: float | Fraction) -> Fraction:
+    return value if isinstance(value, Fraction) else Fraction(float(value))
+
+
 def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
     return sum((i * j for i, j in zip(a, b, strict=True)), Fraction(0))
 
 
-def exact_closest(triangle: np.ndarray, x: np.ndarray) -> tuple[list[Fraction], Fraction]:
+def exact_closest(
+    triangle: np.ndarray | list[list[Fraction]], x: np.ndarray | list[Fraction]
+) -> tuple[list[Fraction], Fraction]:
     """Closest point of a triangle (3, 3) to x (3,) and the squared distance, both exact.
 
     Candidates are the corners, the feet on the edges and the foot on the plane; those that lie on
     the triangle are compared.
     """
-    corners = [[Fraction(float(v)) for v in row] for row in triangle]
-    p = [Fraction(float(v)) for v in x]
+    corners = [[fraction(v) for v in row] for row in triangle]
+    p = [fraction(v) for v in x]
     candidates = list(corners)
     for k in range(3):
         a, b = corners[k], corners[(k + 1) % 3]
