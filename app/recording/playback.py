@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+import robots
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
@@ -17,6 +19,7 @@ from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
 from app.scene import scene as scenes
+from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.settings import Options
 
@@ -32,12 +35,22 @@ class Moment:
 
 
 def build_scenes(
-    recording: Recording, version: int, like: Scene | None = None, progress: Progress | None = None
+    recording: Recording,
+    version: int,
+    like: Scene | None = None,
+    progress: Progress | None = None,
+    stop: worker.Stop | None = None,
 ) -> tuple[Scene, ...]:
     """A recording's scenes, numbered from `version`; one that is just like `like` is that one.
 
+    They are built without a pause for any other thread, see `worker`.
+
+    Args:
+        progress: called with a few words before each step.
+        stop: stops it.
+
     Raises:
-        ValueError: what `replay.build` raises.
+        ValueError: what `rerun.build`, `worker.Ended` and `worker.Stopped` raise.
     """
     built = []
     for k, place in enumerate(recording.places):
@@ -51,7 +64,9 @@ def build_scenes(
             assert like is not None
             built.append(like)
         else:
-            built.append(rerun.build(recording, k, version + k, progress=progress))
+            work = functools.partial(rerun.build, place, version + k, warm=False)
+            arm = robots.load(place.options.robot)
+            built.append(worker.aside(work, place.options.mesh, arm, progress, stop))
     return tuple(built)
 
 

@@ -72,7 +72,6 @@ class Panel:
         self._settings: list[Any] = []  # controls that set the session's values
         self._groups: list[Any] = []  # which cannot be disabled
         self._fields: list[NumberField] = []
-        self._building = threading.Lock()
         self._note: str | None = None
         self._autopilot_asked = 0.0  # monotonic time [s]
         self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
@@ -96,7 +95,7 @@ class Panel:
         """
         live, shown = self._screen.live, self._shown()
         options, telemetry = shown.options, shown.telemetry
-        building = self._building.locked()
+        building = self._session.work.going
         for control in self._settings:
             control.disabled = not live or (building and control in (self._mesh, self._robot))
         for group in self._groups:
@@ -339,18 +338,15 @@ class Panel:
         ).start()
 
     def _change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
-        if not self._building.acquire(blocking=False):
-            self._tell(client, "Another change is under way: wait until it is done.")
-            return
         try:
-            self._mesh.disabled = self._robot.disabled = True
-            self._note = None
-            self._session.change(**wanted, progress=self._progress)
+            with self._session.work.begin() as stop:
+                self._mesh.disabled = self._robot.disabled = True
+                self._note = None
+                self._session.change(**wanted, progress=self._progress, stop=stop)
         except Exception as error:
             # Whatever a reader of a user's file may raise, the page and the old scene go on.
             self._tell(client, f"Not changed: {error}")
         finally:
-            self._building.release()
             try:
                 self.sync()
             except RuntimeError:

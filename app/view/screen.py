@@ -37,5 +37,5 @@ class Screen:
             session = self._session
             # Telemetry first: what it refers to is in force by then, or will be.
             telemetry = session.latest()
-            self.shown = Moment(session.scene, session.options, telemetry, session.clutched)
+            self.shown = Moment(session.scene, session.options, telemetry, session.master.clutched)
         return self.shown

@@ -15,7 +15,9 @@ import trimesh
 
 import meshes
 import robots
-from app.session import FARTHEST, Refused, Session
+from app.devices.page import FARTHEST_PROXY
+from app.refused import Refused
+from app.session import Session
 from app.settings import OptionError, Options
 from tests.support.brute import Oracle
 from tests.support.everyday import everyday
@@ -91,7 +93,7 @@ def test_the_proxy_may_be_anything_sensible_and_nothing_else(session: Session) -
         ],
         "not a rotation": [pin.SE3(1.1 * R, p), pin.SE3(mirrored, p), pin.SE3(0.0 * R, p)],
         "at most 2 m": [
-            pin.SE3(R, np.array([0.0, 0.0, FARTHEST + 0.01])),
+            pin.SE3(R, np.array([0.0, 0.0, FARTHEST_PROXY + 0.01])),
             pin.SE3(R, np.array([1e300, 0.0, 0.0])),
         ],
     }

@@ -182,7 +182,7 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
     gizmo(attacker, "Update", wxyz.tolist(), aside.tolist())
     wait_until(lambda: np.allclose(VIEW_SCALE * session.handle.translation, aside), "the drag")
     options, scene, handle = session.options, session.scene, session.handle
-    wait_until(lambda: not session._changing.locked(), "what was begun before to end")
+    wait_until(lambda: not session.work.going, "what was begun before to end")
     use("Replay", True)
     wait_until(lambda: session.suspended, "the replay")
     wait_until(lambda: not page.dragging, "the hand to be empty")

@@ -11,7 +11,8 @@ import pytest
 
 from app.recording import capture, rerun
 from app.recording.read import read
-from app.session import Refused, Session
+from app.refused import Refused
+from app.session import Session
 from app.settings import Options
 from tests.support.headless import wait_until
 

@@ -186,7 +186,7 @@ def test_a_session_goes_on_when_its_change_is_stopped_or_too_much(
     with Session(Options(mesh="cube", robot="point")) as session:
         scene, options = session.scene, session.options
         with pytest.raises(worker.Stopped):
-            session.change(**wanted, progress=lambda _text: session.stop_change())
+            session.change(**wanted, progress=lambda _text: session.work.stop())
         monkeypatch.setattr(worker, "allowance", lambda _mesh: worker.Allowance(60.0, 1e6))
         with pytest.raises(ValueError, match="memory"):
             session.change(**wanted)

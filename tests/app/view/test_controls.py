@@ -14,9 +14,10 @@ import pytest
 import trimesh
 
 import vf
+from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.outside import shows_fronts_only
-from app.session import Refused, Session
+from app.session import Session
 from app.settings import Options
 from app.view import Page, camera, fields, section
 from app.view.escape import Escape

@@ -9,8 +9,9 @@ import pytest
 
 import meshes
 import vf
+from app.refused import Refused
 from app.scene import scene as scenes
-from app.session import Refused, Session
+from app.session import Session
 from app.settings import OptionError, Options, parse
 from app.view.corridor import far_end
 

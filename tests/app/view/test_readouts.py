@@ -59,7 +59,7 @@ def banner(session: Session, telemetry: Telemetry | None = None, **changes: Any)
             telemetry or session.latest(),
             session.options,
             extras(session, **changes),
-            session.clutched,
+            session.master.clutched,
         )
     )
 
@@ -127,9 +127,9 @@ def test_a_tool_that_went_inside_without_a_fixture_is_told_so(session: Session) 
 def test_clutch_autopilot_and_a_lost_hand_are_announced(session: Session) -> None:
     session.clutch(True)
     wait_until(lambda: says(session, "Clutched"))
-    assert session.clutched
+    assert session.master.clutched
     session.clutch(False)
-    assert not session.clutched
+    assert not session.master.clutched
     session.set_autopilot(True)
     wait_until(lambda: says(session, "Autopilot"))
     session.reset()

@@ -58,7 +58,7 @@ class Told:
         )
         joints = tuple(session.scene.arm.joints)
         extras = readouts.Extras(0, 0.0, joints, where=self.where)
-        clutched, options = session.clutched, session.options
+        clutched, options = session.master.clutched, session.options
         self.banner = _text(readouts.banner(telemetry, options, extras, clutched))
         self.table = _text(readouts.readouts(telemetry, options, extras))
 
