@@ -227,7 +227,8 @@ class Controller:
     """Drives an arm's tip towards a target as far as the fixtures allow.
 
     `step` depends on its arguments and the settings alone (but for what it returns where the joints
-    are of no use): a recorded run repeats bit for bit on the same machine. Not thread-safe (it owns solver workspaces, and its arm's).
+    are of no use): a recorded run repeats bit for bit on the same machine. Not thread-safe (it owns
+    solver workspaces, and its arm's).
 
     Raises:
         RuntimeError: a kernel gives a wrong answer on this machine, see `warm_up`.

@@ -460,7 +460,7 @@ def test_refused_joints_are_answered_by_the_last_ones_sent(bad):
         first = controller.step(bad, goal)
     assert first.status is Status.REFUSED
     assert not np.array_equal(first.q, 0.5 * (arm.lower + arm.upper))
-    goal.translation = goal.translation + [1e-3, 0.0, 0.0]
+    goal.translation = goal.translation + np.array([1e-3, 0.0, 0.0])
     for target in (goal, pose([np.nan, 0, 0])):  # a step, and a target of no use
         sent = controller.step(arm.neutral, target)
         step = controller.step(bad, goal)
