@@ -339,7 +339,7 @@ class Controller:
         s = self.settings
         try:
             q = np.array(q, dtype=np.float64)
-        except (TypeError, ValueError):
+        except Exception:  # whatever it does that is no array when it is asked for numbers
             return self._refused(np.full(len(self._reach), nan), started)
         # Rounding of the sines of larger angles would be as large as what is guarded.
         if q.shape != self._reach.shape or not sum(map(abs, q.tolist())) <= JOINT_RANGE:
