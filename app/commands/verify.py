@@ -109,8 +109,8 @@ class Verify:
     seed: int = 0
     """Of everything random."""
     noise: float = 5e-3
-    """Actuation error after every tick, up to this share of the radius; half the cases have none.
-    The standoff is then four times the error."""
+    """Actuation error after every tick, up to this share of the radius; half the cases have none,
+    nor has a tool in a corridor. The standoff is at least four times the error."""
     outside: bool = False
     """Start and ask only outside the undamaged mesh, which the paper's rule takes for granted."""
     tip_radius: Length = 0.0

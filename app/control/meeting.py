@@ -1,7 +1,8 @@
 """Where a tip that moves along segments first meets a mesh. Knows no planes and no rules.
 
-The PD-tree says which triangles are near a segment; what is tested is the segment itself against
-the triangle itself, in rational arithmetic where rounding leaves the answer open.
+`boxes` says which triangles are near a segment, not the PD-tree that the planes
+come from; what is tested is the segment itself against the triangle itself, in rational arithmetic
+where rounding leaves the answer open.
 """
 
 from __future__ import annotations
@@ -12,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.studies.verification import exact
+from app.studies.verification import boxes, exact
+from app.studies.verification.boxes import ROOM, list_near
 from app.studies.verification.oracles import SCRATCH, distance, touches
 from vf.kernels import njit
-from vf.pdtree import STACK, children_of, triangles_of
 
 FloatArray = NDArray[np.float64]
-
-ROOM = 64  # triangles that one segment may meet, for a start
 
 # Verdicts on a segment and a triangle.
 _OPEN, _CROSSED, _TOUCHED = 1, 2, 3
@@ -52,27 +51,24 @@ def first_meeting(
     unless the ball overlapped some triangle at the segment's start already: then only the centre
     is judged. A segment without length meets nothing.
     """
-    tree = surface.tree
+    around = boxes.of(surface)
     starts, ends = np.ascontiguousarray(starts), np.ascontiguousarray(ends)
-    rows, verdicts = np.empty(ROOM, dtype=np.int64), np.empty(ROOM, dtype=np.int64)
+    triangles, verdicts = np.empty(ROOM, dtype=np.int64), np.empty(ROOM, dtype=np.int64)
     first = 0
     while True:
-        k, count = _next(
-            tree.nodes, tree.corners, starts, ends, tip_radius, tip_radius - SCRATCH, first,
-            rows, verdicts,
-        )  # fmt: skip
+        k, count, near = _next(*around, starts, ends, tip_radius, first, triangles, verdicts)
         if k < 0:
             return None
-        if count > len(rows):
-            rows, verdicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+        if near > len(triangles):
+            triangles, verdicts = np.empty(near, dtype=np.int64), np.empty(near, dtype=np.int64)
             first = k
             continue
         a, b = starts[k], ends[k]
         met = []
-        for row, verdict in zip(rows[:count], verdicts[:count], strict=True):
-            corners = tree.corners[row].reshape(3, 3)
+        for triangle, verdict in zip(triangles[:count], verdicts[:count], strict=True):
+            corners = surface.vertices[surface.faces[triangle]]
             if verdict != _OPEN or exact.meets(a, b, corners):
-                met.append((verdict == _TOUCHED, _share(a, b, corners), int(tree.order[row])))
+                met.append((verdict == _TOUCHED, _share(a, b, corners), int(triangle)))
         if met:
             touched, share, triangle = min(met)
             return Meeting(k, triangle, a + share * (b - a), not touched)
@@ -100,81 +96,43 @@ def _share(a: FloatArray, b: FloatArray, corners: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _next(nodes, corners, starts, ends, tip_radius, room, first, rows, verdicts):  # type: ignore[no-untyped-def]
-    """The next segment that may meet a triangle (−1: none), and with how many.
+def _next(vertices, faces, order, table, levels, starts, ends, tip_radius, first, found, verdicts):  # type: ignore[no-untyped-def]
+    """The next segment that may meet a triangle (−1: none), with how many, and how many are near.
 
-    Which they are (rows in tree order) and what is known of each is written as far as there is
-    room.
+    Which they are and what is known of each is written, unless there is no room for all that are
+    near: then nothing is known of that segment yet.
     """
-    waiting = np.empty(STACK, dtype=np.int64)
+    room = tip_radius - SCRATCH
     for k in range(first, starts.shape[0]):
         a, b = starts[k], ends[k]
         if a[0] == b[0] and a[1] == b[1] and a[2] == b[2]:
             continue
+        near = list_near(vertices, faces, order, table, levels, a, b, tip_radius, found)
+        if near > found.shape[0]:
+            return k, 0, near
         count = 0
         overlapped = False
-        waiting[0] = 0
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            node = waiting[depth]
-            if not _near(nodes, node, a, b, tip_radius):
-                continue
-            link = nodes[node, 15]
-            if link > 0.0:
-                child, last = children_of(link)
-                while child < last:
-                    waiting[depth] = child
-                    depth += 1
-                    child += 1
-                continue
-            row, last = triangles_of(link)
-            while row < last:
-                p, q, r = corners[row, 0:3], corners[row, 3:6], corners[row, 6:9]
-                verdict = 0
-                sure = touches(a, b, p, q, r)
-                if sure != 0:
-                    verdict = 2 if sure > 0 else 1
-                elif tip_radius > 0.0 and not overlapped and distance(a, b, p, q, r) < room:
-                    verdict = 3
-                if tip_radius > 0.0 and verdict != 0 and not overlapped:
-                    overlapped = distance(a, a, p, q, r) < room
-                if verdict != 0:
-                    if count < rows.shape[0]:
-                        rows[count], verdicts[count] = row, verdict
-                    count += 1
-                row += 1
-        if overlapped and count <= rows.shape[0]:
+        for i in range(near):
+            t = found[i]
+            p, q, r = vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]]
+            verdict = 0
+            sure = touches(a, b, p, q, r)
+            if sure != 0:
+                verdict = _CROSSED if sure > 0 else _OPEN
+            elif tip_radius > 0.0 and not overlapped and distance(a, b, p, q, r) < room:
+                verdict = _TOUCHED
+            if tip_radius > 0.0 and verdict != 0 and not overlapped:
+                overlapped = distance(a, a, p, q, r) < room
+            if verdict != 0:
+                found[count], verdicts[count] = t, verdict
+                count += 1
+        if overlapped:
             kept = 0
             for i in range(count):
-                if verdicts[i] != 3:
-                    rows[kept], verdicts[kept] = rows[i], verdicts[i]
+                if verdicts[i] != _TOUCHED:
+                    found[kept], verdicts[kept] = found[i], verdicts[i]
                     kept += 1
             count = kept
         if count > 0:
-            return k, count
-    return -1, 0
-
-
-@njit(cache=True, nogil=True)
-def _near(nodes, node, a, b, reach):  # type: ignore[no-untyped-def]
-    """Whether the segment ab may come within `reach` of the box of a node: never wrongly no."""
-    low, high = 0.0, 1.0
-    for k in range(3):
-        start = along = size = 0.0
-        for j in range(3):
-            axis = nodes[node, 6 + 3 * k + j]
-            start += axis * (a[j] - nodes[node, j])
-            along += axis * (b[j] - a[j])
-            size += abs(a[j]) + abs(b[j]) + abs(nodes[node, j])
-        half = nodes[node, 3 + k] + reach
-        half += 1e-14 * (size + half)
-        if abs(along) < 1e-300:
-            if abs(start) > half:
-                return False
-            continue
-        u, v = (-half - start) / along, (half - start) / along
-        low, high = max(low, min(u, v)), min(high, max(u, v))
-        if low > high:
-            return False
-    return True
+            return k, count, near
+    return -1, 0, 0

@@ -1,4 +1,8 @@
-"""Where the tool is with respect to the anatomy, found without any plane or rule."""
+"""Where the tool is with respect to the anatomy, found without any plane or rule.
+
+Distance and side are the surface's own answers, from the tree that the planes come from too; what
+was crossed and what is between two points are not.
+"""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ Exact answers come from rational arithmetic (a float is a fraction), the others 
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -163,6 +163,18 @@ class Brute:
     def nearest(self, x: np.ndarray) -> float:
         bound = np.linalg.norm(self.centres - x, axis=1).min()
         return float(self.within(x, bound)[1][0])
+
+
+@lru_cache(maxsize=8)
+def brute(surface: vf.Surface) -> Brute:
+    """Of a surface that is asked more than once."""
+    return Brute(surface)
+
+
+def near(surface: vf.Surface, x: np.ndarray, radius: float) -> np.ndarray:
+    """Corners (k, 3, 3) of the triangles within the radius, and of a few more; not by the tree."""
+    found = brute(surface)
+    return found.corners[found.within(x, radius)[0]]
 
 
 def clear_radius(distances: np.ndarray, radius: float, hair: float) -> float:

@@ -450,6 +450,28 @@ def test_unusable_joints_are_refused(bad):
     assert controller.step(q[:5], arm.tip(arm.neutral)).status is Status.REFUSED
 
 
+@pytest.mark.parametrize("bad", [None, "x", [0.0] * 5, [np.nan] * 6, [1e16] * 6], ids=repr)
+def test_refused_joints_are_answered_by_the_last_ones_sent(bad):
+    arm = robots.load("psm")
+    controller = vf.Controller(arm, fixed(plate(-0.5)), vf.Settings())
+    controller.warm_up()  # its own ticks are none that anything was sent by
+    goal = arm.tip(arm.neutral)
+    with np.errstate(invalid="ignore"):
+        first = controller.step(bad, goal)
+    assert first.status is Status.REFUSED
+    assert not np.array_equal(first.q, 0.5 * (arm.lower + arm.upper))
+    goal.translation = goal.translation + np.array([1e-3, 0.0, 0.0])
+    for target in (goal, pose([np.nan, 0, 0])):  # a step, and a target of no use
+        sent = controller.step(arm.neutral, target)
+        step = controller.step(bad, goal)
+        assert step.status is Status.REFUSED
+        assert (step.q == sent.q).all()
+        assert np.allclose(step.tip.homogeneous, arm.tip(sent.q).homogeneous, atol=1e-15)
+        assert not step.q.flags.writeable
+        # And on from there.
+        assert controller.step(step.q, arm.tip(arm.neutral)).status is Status.SOLVED
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("dt", 0.0), ("dt", -1e-3), ("dt", np.nan), ("standoff", -1e-6), ("standoff", np.inf),

@@ -168,6 +168,14 @@ def test_the_allowed_region_has_the_volume_that_a_count_says():
     assert solid.volume == pytest.approx(region.share * 4 / 3 * np.pi * RADIUS**3, rel=1e-6)
 
 
+def test_of_a_whole_ball_one_fiftieth_is_not_drawn():
+    """As docs/inspector.md says; and nothing that is drawn is outside."""
+    x = np.array([0.1, -0.2, 0.3])
+    region = allowed_region(vf.Planes.none(RADIUS), x)
+    assert region.share == pytest.approx(0.98, abs=5e-4)
+    assert np.linalg.norm(region.vertices - x, axis=1).max() <= RADIUS * (1.0 + 1e-12)
+
+
 def test_no_room_makes_an_empty_region():
     wall = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     planes = vf.Planes(wall, np.zeros(2), np.zeros((2, 3)), np.zeros(2, int), np.zeros(2, int), 1.0)
