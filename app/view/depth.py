@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import vf
-from app.control.meeting import sees
 from app.control.watch import Crossing
+from app.judges.meeting import sees
+from app.judges.oracles import SCRATCH
 from app.scene.scene import Scene
-from app.studies.verification.oracles import SCRATCH
 from robots import Arm
 
 FloatArray = NDArray[np.float64]

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.studies.verification import boxes, exact
-from app.studies.verification.boxes import list_near
-from app.studies.verification.oracles import touches
+from app.judges import boxes, exact
+from app.judges.boxes import list_near
+from app.judges.oracles import touches
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]

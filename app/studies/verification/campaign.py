@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 import robots
 import vf
-from app.studies.verification import hands, oracles, scenes
+from app.judges import oracles
+from app.studies.verification import hands, scenes
 from meshes.builtin.shapes import Arrays
 
 FloatArray = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """What every rule would do at one pose: planes, the step, and what leaks or is blocked needlessly.
 
 The arm and the controllers are this module's own. Leaks and blocked space are judged by sampling,
-with no code of the rules, over the triangles that `app.studies.verification.boxes` finds.
+with no code of the rules, over the triangles that `app.judges.boxes` finds.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
+from app.judges import boxes, oracles
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
-from app.studies.verification import boxes, oracles
 from app.view.inspector.picking import distances
 
 FloatArray = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
@@ -12,14 +12,14 @@ import meshes
 import robots
 import vf
 from app.control.messages import Command, Telemetry
+from app.judges import boxes, oracles
 from app.recording.rerun import run_headless
 from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
-from app.studies.verification import boxes, oracles
 from tests.support.brute import Oracle
 from tests.support.everyday import everyday
-from tests.support.headless import moved
+from tests.support.headless import moved, wait_until
 
 
 def joints(run: list[Telemetry]) -> bytes:
@@ -125,9 +125,7 @@ def test_the_tool_stays_out_of_everything_with_every_arm(
     check_tour(Options(mesh=mesh, robot=robot, radius=radius))
 
 
-def test_a_live_session_is_repeated_from_its_record(
-    tapes: list, wait_until: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_live_session_is_repeated_from_its_record(tapes: list) -> None:
     options = Options(mesh="saddle-slab", robot="psm")
     with Session(options) as session:
         start = session.scene.T_base_start

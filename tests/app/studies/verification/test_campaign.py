@@ -15,7 +15,8 @@ import meshes
 import robots
 import vf
 from app.commands import verify
-from app.studies.verification import campaign, oracles, scenes
+from app.judges import oracles
+from app.studies.verification import campaign, scenes
 from meshes.builtin.damage import damage, kinds
 from tests.support.everyday import everyday
 from vf.cover import Buffer

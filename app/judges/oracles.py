@@ -1,7 +1,7 @@
 """Judges of the certified rule that share no code with it, not even the list of local triangles.
 
 Of a `vf.Surface` they read the vertices and the faces, which are the caller's own numbers; which of
-them are near, `app.studies.verification.boxes` finds. Of `vf` they use the decorator that compiles.
+them are near, `app.judges.boxes` finds. Of `vf` they use the decorator that compiles.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.studies.verification import boxes, exact
+from app.judges import boxes, exact
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from scipy.optimize import linprog, minimize
 
 import meshes
 import vf
-from app.studies.verification import oracles
+from app.judges import oracles
 from tests.support import naive
 
 Vector = list[Fraction]

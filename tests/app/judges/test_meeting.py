@@ -8,7 +8,7 @@ import trimesh
 
 import meshes
 import vf
-from app.control.meeting import first_meeting, sees
+from app.judges.meeting import first_meeting, sees
 from meshes.builtin.damage import damage
 from tests.support.brute import Oracle
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vf
-from app.studies.verification.exact import distance2, meets, uncovered
+from app.judges.exact import distance2, meets, uncovered
 from tests.support import exact, naive
 
 FLOOR = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])

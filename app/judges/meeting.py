@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.studies.verification import boxes, exact
-from app.studies.verification.boxes import ROOM, list_near
-from app.studies.verification.oracles import SCRATCH, distance, touches
+from app.judges import boxes, exact
+from app.judges.boxes import ROOM, list_near
+from app.judges.oracles import SCRATCH, distance, touches
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]

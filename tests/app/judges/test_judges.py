@@ -14,13 +14,14 @@ import robots
 import vf
 from app.commands import verify
 from app.control.engine import Engine, Orders
-from app.control.meeting import first_meeting, sees
 from app.control.messages import Command, LoopStats
 from app.control.watch import Watch
+from app.judges import oracles
+from app.judges.meeting import first_meeting, sees
 from app.scene import scene as scenes
 from app.settings import Options
 from app.studies.experiments import judge
-from app.studies.verification import campaign, oracles
+from app.studies.verification import campaign
 from app.view.inspector.compare import Comparison, Pose
 from vf import pdtree
 

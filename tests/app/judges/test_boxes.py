@@ -7,7 +7,7 @@ import pytest
 
 import meshes
 import vf
-from app.studies.verification import boxes
+from app.judges import boxes
 from meshes.builtin.damage import damage
 
 
