@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 
 from app.control.autopilot import Course
 from app.control.engine import State
-from app.limits import FARTHEST
+from app.kinds import FARTHEST
+from app.options import plain
 from app.recording.format import (
     FORMAT,
     JOINTS,
@@ -24,7 +24,8 @@ from app.recording.format import (
     RecordingError,
 )
 from app.scenarios.values import LONGEST
-from app.settings import OptionError, Options
+from app.settings import Options
+from app.words import OptionError
 
 COURSE_FARTHEST = 2.0 * FARTHEST  # [m] of a scenario's place in its mesh, which is placed in turn
 COURSE_LONGEST = LONGEST  # [s]
@@ -106,32 +107,10 @@ def _options(entry: object) -> Options:
     if set(values) != set(RECORDED):
         odd = sorted(set(values) ^ set(RECORDED))[0][:40]
         raise RecordingError(f"the options in the header are not those of a session ('{odd}')")
-    for field in fields(Options):
-        value = values.get(field.name)
-        if field.name not in values or value is None:
-            continue
-        default = field.default
-        if field.name in ("at", "rotate"):
-            values[field.name] = tuple(_numbers(value, field.name, 3))
-            sound = len(values[field.name]) == 3
-        elif isinstance(default, bool | int):
-            sound = type(value) is type(default) and abs(value) < 2**63
-        elif field.name in ("mesh", "path"):  # a file may be called anything
-            sound = isinstance(value, str) and len(value) <= 4096 and "\0" not in value
-        elif isinstance(default, str) or field.name == "unit":
-            sound = isinstance(value, str) and len(value) <= 4096 and value.isprintable()
-        else:
-            sound = _is_number(value)
-        if not sound:
-            raise RecordingError(f"the option {field.name} in the header is not usable")
-    optional = ("unit", "at", "path", "corridor", "radius")
-    for name in RECORDED:
-        if values[name] is None and name not in optional:
-            raise RecordingError(f"the option {name} is missing in the header")
     try:
-        return Options(**values)
+        return Options(**{name: plain(value) for name, value in values.items()})
     except OptionError as error:
-        raise RecordingError(str(error)) from None
+        raise RecordingError(f"an option in the header is not usable: {error}") from None
 
 
 def place(entry: object) -> Place:

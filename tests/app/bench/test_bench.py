@@ -22,7 +22,7 @@ from app.bench.tools import reference, report, settings
 from app.bench.tools import route as courses
 from app.bench.tools.machine import write
 from app.commands import bench
-from app.settings import OptionError
+from app.words import OptionError
 from meshes.builtin import cache, ladder
 
 SMALL = ladder.Source("organic", ladder.organic, "organic")

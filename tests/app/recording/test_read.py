@@ -110,7 +110,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["radius"] = 1e9
 
-    @case("option kind", "option rule in the header is not usable")
+    @case("option kind", "option in the header is not usable: unknown rule")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["rule"] = ["certified"]
 
