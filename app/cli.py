@@ -58,7 +58,7 @@ def run(words: list[str]) -> int:
 
 def _page(words: list[str]) -> int:
     """Check all that can be checked at once, then start."""
-    from app.commands.serve import serve
+    from app.serving import serve
 
     options, scenario = _wanted(words)
     check_mesh(options.mesh)

@@ -222,7 +222,7 @@ def _calibrate(options: Calibrate) -> int:
 
 
 def _replay(options: Replay) -> int:
-    from app.commands.serve import bind_problem
+    from app.serving import bind_problem
     from app.session import Session
     from app.studies.experiments import playback, protocol
     from app.view.page import Page

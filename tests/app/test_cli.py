@@ -19,7 +19,7 @@ import vf
 from app import choices
 from app.__main__ import main
 from app.commands import COMMANDS
-from app.commands.serve import bind_problem
+from app.serving import bind_problem
 
 ROOT = Path(__file__).parents[2]
 
@@ -105,7 +105,7 @@ def test_help_shows_the_defaults() -> None:
     for word in ("--mesh", "skull", "--radius", "5mm", "--port", "8080", "127.0.0.1"):
         assert word in result.stdout
     modules = {path.stem for path in (ROOT / "app" / "commands").glob("[a-z]*.py")}
-    assert set(COMMANDS) == modules - {"serve"}
+    assert set(COMMANDS) == modules
     for command in COMMANDS:
         assert re.search(rf"^  {command} +[A-Z]", result.stdout, re.MULTILINE), command
     for known in (choices.ROBOTS, choices.RULES, choices.AXES, choices.UNITS):

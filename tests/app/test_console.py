@@ -13,9 +13,9 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 from rich.console import Console
 
-from app.commands.serve import _show
 from app.console import Column, console, count, prepare, reason, show_table
 from app.options import parse_as
+from app.serving import _show
 from app.settings import Options
 
 numbers = st.text("0123456789,.-+e% µ", min_size=1, max_size=14).map(

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app import files
+from app.scene import library
 from app.scene.library import Library, LibraryError
-from app.scene.scene import library
 from app.settings import MESH, Options
 
 

@@ -95,7 +95,7 @@ def telemetry() -> list[Telemetry]:
 
 @pytest.fixture(scope="module")
 def surface() -> vf.Surface:
-    from app.scene.scene import scene
+    from app.scene import scene
 
     return scene.build(Options(mesh="sphere", robot="point"), 1).surface
 
@@ -132,7 +132,7 @@ def test_a_time_that_goes_back_begins_another_history() -> None:
 def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     telemetry: list[Telemetry],
 ) -> None:
-    from app.scene.scene import scene
+    from app.scene import scene
 
     shown = scene.build(Options(mesh="sphere", robot="point", rule="off"), 1, warm=False)
     stage: Any = MagicMock()
