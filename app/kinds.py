@@ -77,7 +77,7 @@ class Kind:
 
     def to_json(self, value: Any) -> Any:
         """What `from_json` reads back."""
-        return self.format(value)
+        return self.format(value) if str in self.json else value
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,9 @@ class Number(Kind):
 
     def clamped(self, name: str, value: float) -> float:
         """The nearest value in the range; what is not a number is refused, see `check`."""
-        if not isinstance(value, numbers.Real) or isinstance(value, bool) or math.isnan(value):
+        if not isinstance(value, numbers.Real) or isinstance(value, bool) or value != value:
             self.check(name, value)
-        return min(max(float(value), self.low), self.high)
+        return float(min(max(value, self.low), self.high))
 
     def text(self, value: float) -> str:
         """A value as one would write it."""
@@ -124,13 +124,10 @@ class Number(Kind):
             raise OptionError(f"{shown(text)} is not a number") from None
 
     def format(self, value: float) -> str:
-        return repr(value)
+        return repr(float(value))
 
     def from_json(self, value: Any) -> float:
         return float(super().from_json(value))
-
-    def to_json(self, value: float) -> Any:
-        return float(value)
 
 
 @dataclass(frozen=True)
@@ -151,10 +148,7 @@ class Length(Number):
 
     def format(self, value: float) -> str:
         """As one would write it if that is exact, else in metres with all digits."""
-        return _exact(value, format_length, parse_length, lambda x: f"{x!r}m")
-
-    def to_json(self, value: float) -> str:
-        return self.format(value)
+        return _exact(value, format_length, parse_length, lambda x: f"{float(x)!r}m")
 
 
 @dataclass(frozen=True)
@@ -175,10 +169,7 @@ class Speed(Number):
 
     def format(self, value: float) -> str:
         """As one would write it if that is exact, else in m/s with all digits."""
-        return _exact(value, format_speed, parse_speed, lambda x: f"{x!r}m/s")
-
-    def to_json(self, value: float) -> str:
-        return self.format(value)
+        return _exact(value, format_speed, parse_speed, lambda x: f"{float(x)!r}m/s")
 
 
 @dataclass(frozen=True)
@@ -203,9 +194,6 @@ class Whole(Kind):
             return int(text)
         except ValueError:
             raise OptionError(f"{shown(text)} is not a whole number") from None
-
-    def to_json(self, value: int) -> Any:
-        return int(value)
 
 
 @dataclass
@@ -286,9 +274,6 @@ class Switch(Kind):
         if not isinstance(value, bool):
             raise OptionError(f"{name} must be true or false, not {shown(value)}")
 
-    def to_json(self, value: bool) -> Any:
-        return bool(value)
-
 
 class Place(Kind):
     """Three coordinates [m], together at most `FARTHEST` from the origin."""
@@ -330,7 +315,7 @@ class Turn(Kind):
     def format(self, value: tuple[float, float, float]) -> str:
         """In degrees if that is exact, else in radians with all digits."""
         return _exact(
-            value, format_turn, parse_turn, lambda turn: ",".join(f"{x!r}rad" for x in turn)
+            value, format_turn, parse_turn, lambda turn: ",".join(f"{float(x)!r}rad" for x in turn)
         )
 
 

@@ -120,6 +120,7 @@ def test_panel_values_are_clamped(name: str) -> None:
     low, high = kind.low, kind.high
     assert kind.clamped(name, low - 1.0) == low
     assert kind.clamped(name, math.inf) == high
+    assert kind.clamped(name, -(10**400)) == low
     assert kind.clamped(name, (low + high) / 2) == (low + high) / 2
     for value in (math.nan, "1", True, None):
         with pytest.raises(OptionError, match=rf"{name} (nan|must be a number)"):
