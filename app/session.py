@@ -31,7 +31,6 @@ from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.settings import DECLARED, MESH, Options, kind_of
-from app.words import OptionError
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
 DEFAULTS = Options()
@@ -354,23 +353,21 @@ class Session:
             Refused: an option that is none of these, a value that is unknown or not a number, a
                 corridor without a planned path or wider than its bends allow.
         """
-        for name, value in changes.items():
-            if name not in DECLARED or DECLARED[name].scope not in LIVE:
-                raise Refused(f"{name} is nothing that is set while a session runs")
-            kind = kind_of(name)
-            if isinstance(kind, Number) and value is not None:
-                changes[name] = _clamped(name, kind, value)
-        if changes.get("corridor") is not None and self.scene.planned_path is None:
-            raise Refused("no path is planned on this mesh: there is no corridor")
         with self._turn():
+            orders: dict[str, Any] = {}
+            changed = set()
             try:
+                for name, value in changes.items():
+                    if name not in DECLARED or DECLARED[name].scope not in LIVE:
+                        raise Refused(f"{name} is nothing that is set while a session runs")
+                    kind = kind_of(name)
+                    if isinstance(kind, Number) and value is not None:
+                        changes[name] = kind.clamped(name, value)
+                    if changes[name] != getattr(self.options, name):
+                        changed.add(DECLARED[name].scope)
+                if changes.get("corridor") is not None and self.scene.planned_path is None:
+                    raise Refused("no path is planned on this mesh: there is no corridor")
                 options = replace(self.options, **changes)
-                changed = {
-                    DECLARED[name].scope
-                    for name in changes
-                    if getattr(options, name) != getattr(self.options, name)
-                }
-                orders: dict[str, Any] = {}
                 if Scope.FIXTURE in changed:
                     orders["plant"] = scenes.plant(self.scene, options)
             except ValueError as error:
@@ -521,10 +518,3 @@ def _check_distance(pose: pin.SE3) -> None:
         raise Refused(
             f"the proxy is {distance:.2f} m from the arm's base; at most {FARTHEST:g} m is allowed"
         )
-
-
-def _clamped(name: str, kind: Number, value: float) -> float:
-    try:
-        return kind.clamped(name, value)
-    except OptionError as error:
-        raise Refused(str(error)) from None
