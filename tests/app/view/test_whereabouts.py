@@ -83,8 +83,8 @@ def session(request: pytest.FixtureRequest, sheet: Path) -> Iterator[Session]:
 
 def go(session: Session, height: float) -> None:
     """Lead the tool without a fixture to a height over the mesh's top [m]."""
-    session.set_rule("off")
-    session.set_tip_radius(0.0)
+    session.set(rule="off")
+    session.set(tip_radius=0.0)
     session.reset()
     wait_until(lambda: session.crossing is None and session.latest().target is None)
     start = session.scene.T_base_start
@@ -108,7 +108,7 @@ def settle(session: Session) -> None:
 def rules(session: Session) -> Iterator[tuple[str, Told]]:
     """Every rule, and what the page says under it where the tool is."""
     for rule in vf.RULES:
-        session.set_rule(rule)
+        session.set(rule=rule)
         settle(session)
         yield rule, Told(session)
 
@@ -162,7 +162,7 @@ def test_back_out_it_is_said_to_be_back_but_the_crossing_stays(session: Session)
 
 def test_a_ball_is_measured_from_its_centre_and_from_its_surface(session: Session) -> None:
     go(session, 0.004)
-    session.set_tip_radius(0.001)
+    session.set(tip_radius=0.001)
     for rule, told in rules(session):
         true = 1e3 * distance(session, told.p_tip)
         assert told.number("tip’s centre to surface") == pytest.approx(true, abs=6e-4)
@@ -172,7 +172,7 @@ def test_a_ball_is_measured_from_its_centre_and_from_its_surface(session: Sessio
     go(session, 0.004)
     session.pause()
     wait_until(lambda: session.latest().paused)
-    session.set_tip_radius(0.005)  # now it overlaps, though nothing moved
+    session.set(tip_radius=0.005)  # now it overlaps, though nothing moved
     told = Told(session)
     true = 1e3 * distance(session, told.p_tip)
     assert told.where.overlaps
