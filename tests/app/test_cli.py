@@ -327,7 +327,7 @@ LONG: list[list[str]] = [
 @pytest.mark.parametrize("words", LONG, ids=lambda words: " ".join(words[:2]))
 @pytest.mark.parametrize(
     "delay",
-    [pytest.param(d, marks=pytest.mark.slow) for d in (0.2, 1.5, 6.0)],
+    [pytest.param(d, marks=pytest.mark.slow) for d in (0.2, 0.7, 1.5, 2.5, 4.0, 6.0)],
 )
 def test_an_interrupt_at_any_moment_ends_any_command(
     words: list[str], delay: float, tmp_path: Path
