@@ -15,8 +15,9 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from app.console import console as new_console
 from app.interrupts import interrupts
-from app.scenario import Scenario
-from app.settings import OptionError, Options, format_length
+from app.scenarios.file import Scenario
+from app.settings import Options
+from app.words import OptionError, format_length
 
 
 def serve(options: Options, scenario: Scenario | None = None) -> int:
@@ -38,7 +39,7 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
     began = time.perf_counter()
     with _Steps(console) as step:
         step("loading libraries")
-        from app.loop import prefer_this_process
+        from app.control.loop import prefer_this_process
         from app.session import Session
 
         prefer_this_process()
@@ -52,7 +53,7 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
             page = Page(session, options.host, options.port, scenario)
             try:
                 if scenario is not None:
-                    from app.course import begin
+                    from app.scenarios.staging import begin
 
                     begin(scenario, session)
                 step.done()

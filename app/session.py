@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,39 +16,37 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 import robots
-import vf
-from app import aside
-from app import scene as scenes
-from app.autopilot import Script
-from app.engine import Orders
-from app.loop import ControlLoop
-from app.mailbox import Mailbox
-from app.messages import Command, Telemetry
-from app.scene import Progress, Scene
-from app.settings import MESH, OptionError, Options, in_range
-from app.tape import Tape
-from app.teleop import Teleop, latch
-from app.watch import Crossing, Watch
+from app.control.autopilot import Script
+from app.control.engine import Orders
+from app.control.loop import ControlLoop
+from app.control.mailbox import Mailbox
+from app.control.messages import Telemetry
+from app.control.watch import Crossing, Watch
+from app.devices.page import PageMaster, checked_pose
+from app.kinds import Number
+from app.options import Scope
+from app.recording.capture import Tape
+from app.refused import Refused
+from app.scene import scene as scenes
+from app.scene import worker
+from app.scene.scene import Progress, Scene
+from app.scene.work import Work
+from app.settings import DECLARED, MESH, Options, kind_of
 
-FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
 DEFAULTS = Options()
-
-
-class Refused(ValueError):
-    """Input that is not acted upon; the message says why. What went on before goes on."""
+LIVE = (Scope.FIXTURE, Scope.TELEOPERATION)  # of options that are set while a session runs
 
 
 class Session:
     """A sandbox with its control thread. Every method may be called from any thread.
 
-    The operator moves a handle (the page's gizmo); teleoperation maps it to the proxy, which is
-    the goal of the tool. With scale 1 and no clutch the two are the same. All poses are in the
-    arm's base frame.
+    All poses are in the arm's base frame.
 
     Attributes:
         scene: the present `Scene`; replaced as a whole by `change`.
         options: the present `Options`, with the values really in force.
-        handle: the handle's present pose: where the gizmo belongs when nobody drags it.
+        master: what the operator holds; it is moved through the methods here.
+        work: the one long piece of work that may be under way, such as a `change`.
     """
 
     def __init__(
@@ -69,25 +66,22 @@ class Session:
         self.scene: Scene = scenes.build(options, 1, say) if scene is None else scene
         say("preparing the controller")
         plant = scenes.plant(self.scene, options)
+        self.master = PageMaster(self.scene.T_base_start, options.scale, options.lock_orientation)
+        self.work = Work()
         self._lock = threading.RLock()  # writers only; the loop and `latest` never take it
-        self._changing = threading.Lock()
-        self._stop = aside.Stop()  # of the newest change
         self._orders = Orders(
             plant,
-            Command(None, 0, stamp=time.monotonic()),
+            self.master.command(0),
             scale=options.scale,
             lock_orientation=options.lock_orientation,
         )
         self._inbox: Mailbox[Orders] = Mailbox(self._orders)
         self._outbox: Mailbox[Telemetry] = Mailbox()
         self._watch = Watch()
-        self._loop = ControlLoop(self._inbox, self._outbox, options.dt, self._watch.take)
+        self._loop = ControlLoop(self._inbox, self._outbox, options.dt, self._ticked)
         self._tape: Tape | None = None
         self._suspended = ""  # why orders are refused
         self._goes_on = True  # once it is not suspended any more
-        self._clutched = False
-        self.handle = pin.SE3(self.scene.T_base_start)
-        self._teleop = self._latched(self.handle)
 
     def __enter__(self) -> Session:
         self.start()
@@ -131,9 +125,9 @@ class Session:
         return self._watch.missed
 
     @property
-    def clutched(self) -> bool:
-        """Whether the clutch is pressed."""
-        return self._clutched
+    def handle(self) -> pin.SE3:
+        """The master's present pose: where the gizmo belongs when nobody drags it."""
+        return self.master.handle
 
     @property
     def tape(self) -> Tape | None:
@@ -175,21 +169,21 @@ class Session:
 
     # While something else is on the page
 
-    def suspend(self, reason: str) -> None:
+    def suspend(self, reason: str, stop: worker.Stop | None = None) -> None:
         """Stop the ticks, let go of the handle, and refuse every order until `go_on`.
 
         Args:
             reason: what those are told who want something of the session meanwhile.
+            stop: of the `work` that this belongs to, if it does.
 
         Raises:
-            Refused: it is suspended already, or another mesh or robot is on its way.
+            Refused: it is suspended already, or other work is under way.
         """
-        with self._turn():
-            if not self._changing.acquire(blocking=False):
-                raise Refused("another change is under way: wait until it is done")
+        with self._turn(), self._working(stop):
             self._suspended, self._goes_on = reason, not self._orders.paused
-            if self._orders.command.held:
-                self._command(self._orders.command.target)
+            if self.master.held:
+                self.master.let_go()
+                self._command()
             self._order(paused=True)
 
     def go_on(self) -> None:
@@ -197,7 +191,6 @@ class Session:
         with self._lock:
             if self._suspended:
                 self._suspended = ""
-                self._changing.release()
                 self._order(paused=not self._goes_on)
 
     @property
@@ -216,17 +209,12 @@ class Session:
                 `Options.stale_after` runs out, or the tool holds.
 
         Raises:
-            Refused: not finite, not a rotation, or farther than `FARTHEST` from the base. The
-                session goes on with the pose it had.
+            Refused: not finite, not a rotation, or too far from the base. The session goes on with
+                the pose it had.
         """
-        handle = checked_pose(target)
         with self._turn():
-            proxy = self._teleop.proxy(handle)
-            _check_distance(proxy)
-            self.handle = handle
-            if self._clutched:
-                proxy = self._orders.command.target  # the handle moves alone
-            self._command(proxy, held, autopilot=False)
+            self.master.move(target, held)
+            self._command(autopilot=False)
 
     def touch(self) -> None:
         """Say that the drag is still alive though the handle rests.
@@ -236,8 +224,8 @@ class Session:
         if not self._lock.acquire(blocking=False):
             return
         try:
-            if self._orders.command.held and not self._suspended:
-                self._command(self._orders.command.target, held=True)
+            if self.master.held and not self._suspended:
+                self._command()
         finally:
             self._lock.release()
 
@@ -258,8 +246,8 @@ class Session:
     def recall(self) -> None:
         """Put handle and proxy back onto the tool; ends the autopilot."""
         with self._turn():
-            self._latch_on_tool(handle_too=True)
-            self._command(pin.SE3(self.handle), autopilot=False)
+            self.master.place(self._tool())
+            self._command(autopilot=False)
 
     def clutch(self, pressed: bool) -> None:
         """Pressed: the tool holds, the force is zero and the handle moves alone.
@@ -267,14 +255,9 @@ class Session:
         Released: handle and proxy are latched anew, the proxy where the tool is.
         """
         with self._turn():
-            if pressed == self._clutched:
-                return
-            self._clutched = pressed
-            target = self._orders.command.target
-            if not pressed:
-                self._latch_on_tool(handle_too=False)
-                target = self._teleop.proxy(self.handle)
-            self._command(target)
+            if pressed != self.master.clutched:
+                self.master.clutch(pressed, self._tool())
+                self._command()
 
     def pause(self) -> None:
         """Stop the ticks; telemetry keeps showing the last one."""
@@ -294,39 +277,33 @@ class Session:
     def reset(self) -> None:
         """Put the tool back to the scene's start, and handle and proxy onto it."""
         with self._turn():
-            self.handle = pin.SE3(self.scene.T_base_start)
-            self._teleop = self._latched(self.handle)
-            self._clutched = False
-            self._command(None, autopilot=False, resets=self._orders.resets + 1)
+            self._to_start()
+            self._command(autopilot=False, resets=self._orders.resets + 1)
 
     def set_autopilot(self, on: bool) -> bool:
         """Let a scripted path drive the proxy, from its beginning. Off: the proxy stays there."""
         with self._turn():
             if on == self._orders.autopilot:
                 return on
-            if on:
-                self._clutched = False
-                self._command(None, autopilot=True)
-                return on
             target = self.latest().target
-            if target is not None:
-                self.handle = pin.SE3(target)
-                self._teleop = self._latched(self.handle)
-            self._command(target, autopilot=False)
+            if on:
+                self.master.hold()
+            elif target is not None:
+                self.master.place(target)
+            self._command(autopilot=on)
             return on
 
     def put(self, proxy: pin.SE3) -> None:
         """Put the proxy there, and the handle with it; ends the autopilot.
 
         Raises:
-            Refused: not finite, not a rotation, or farther than `FARTHEST` from the base.
+            Refused: not finite, not a rotation, or too far from the base.
         """
         pose = checked_pose(proxy)
         with self._turn():
-            self._clutched = False
-            self.handle = pose
-            self._teleop = self._latched(pose)
-            self._command(pose, autopilot=False)
+            self.master.hold()
+            self.master.place(pose)
+            self._command(autopilot=False)
 
     def perform(self, script: Script) -> None:
         """Put the tool to the scene's start and let this script drive the proxy from there.
@@ -336,72 +313,43 @@ class Session:
         with self._turn():
             self.scene = replace(self.scene, autopilot=script)
             plant = scenes.plant(self.scene, self.options)
-            self.handle = pin.SE3(self.scene.T_base_start)
-            self._teleop = self._latched(self.handle)
-            self._clutched = False
-            resets = self._orders.resets + 1
-            self._command(None, autopilot=True, plant=plant, resets=resets)
+            self._to_start()
+            self._command(autopilot=True, plant=plant, resets=self._orders.resets + 1)
 
-    # What the operator sets; every setter returns the value really taken
+    def set(self, **changes: Any) -> Options:
+        """Change options of the fixture and of teleoperation; returns those then in force.
 
-    def set_rule(self, name: str) -> str:
-        """Which planes guard the tool. Refuses names other than `vf.RULES`."""
-        if name not in vf.RULES:
-            raise Refused(f"unknown rule '{name}': choose one of {', '.join(vf.RULES)}")
-        return self._set(rule=name).rule
+        A number out of range is clamped. Where teleoperation changes the proxy does not jump.
 
-    def set_radius(self, radius: float | None) -> float | None:
-        """Radius of the motion sphere [m]; None takes the largest step of a tick."""
-        return self._set(radius=None if radius is None else _clamped("radius", radius)).radius
-
-    def set_force_gain(self, gain: float) -> float:
-        """Haptic stiffness [N/m]."""
-        return self._set(force_gain=_clamped("force_gain", gain)).force_gain
-
-    def set_standoff(self, standoff: float) -> float:
-        """Distance the tool keeps from the surface [m]."""
-        return self._set(standoff=_clamped("standoff", standoff)).standoff
-
-    def set_tip_radius(self, radius: float) -> float:
-        """Radius of the tool's spherical tip [m]."""
-        return self._set(tip_radius=_clamped("tip_radius", radius)).tip_radius
-
-    def set_corridor(self, width: float | None) -> float | None:
-        """How far the tool may leave the planned path [m]; None lets it go anywhere.
-
-        A width that the path's bends do not allow is refused.
+        Raises:
+            Refused: an option that is none of these, a value that is unknown or not a number, a
+                corridor without a planned path or wider than its bends allow.
         """
-        if width is not None:
-            width = _clamped("corridor", width)
-            if self.scene.planned_path is None:
-                raise Refused("no path is planned on this mesh: there is no corridor")
-        try:
-            return self._set(corridor=width).corridor
-        except ValueError as error:
-            raise Refused(str(error)) from None
-
-    def set_scale(self, scale: float) -> float:
-        """Proxy movement per handle movement, from here on: the proxy does not jump."""
         with self._turn():
-            scale = _clamped("scale", scale)
-            proxy = self._teleop.proxy(self.handle)
-            self.options = replace(self.options, scale=scale)
-            self._teleop = self._latched(proxy)
-            self._order(scale=scale)
-            return scale
-
-    def set_orientation_lock(self, on: bool) -> bool:
-        """Keep the proxy's present orientation, whatever the handle's is; off: no jump either."""
-        with self._turn():
-            proxy = self._teleop.proxy(self.handle)
-            self.options = replace(self.options, lock_orientation=bool(on))
-            self._teleop = self._latched(proxy)
-            self._order(lock_orientation=bool(on))
-            return bool(on)
-
-    def set_tip_speed(self, speed: float) -> float:
-        """Fastest motion of the tool's tip [m/s]; a property of every tick from the next one on."""
-        return self._set(tip_speed=_clamped("tip_speed", speed)).tip_speed
+            orders: dict[str, Any] = {}
+            changed = set()
+            try:
+                for name, value in changes.items():
+                    if name not in DECLARED or DECLARED[name].scope not in LIVE:
+                        raise Refused(f"{name} is nothing that is set while a session runs")
+                    kind = kind_of(name)
+                    if isinstance(kind, Number) and value is not None:
+                        changes[name] = kind.clamped(name, value)
+                    if changes[name] != getattr(self.options, name):
+                        changed.add(DECLARED[name].scope)
+                if changes.get("corridor") is not None and self.scene.planned_path is None:
+                    raise Refused("no path is planned on this mesh: there is no corridor")
+                options = replace(self.options, **changes)
+                if Scope.FIXTURE in changed:
+                    orders["plant"] = scenes.plant(self.scene, options)
+            except ValueError as error:
+                raise Refused(str(error)) from None
+            self.options = options
+            if Scope.TELEOPERATION in changed:
+                self._remap()
+            if orders:
+                self._order(**orders)
+            return options
 
     def change(
         self,
@@ -409,6 +357,7 @@ class Session:
         unit: str | None = None,
         robot: str | None = None,
         progress: Callable[[str], None] | None = None,
+        stop: worker.Stop | None = None,
         **more: Any,
     ) -> Scene:
         """Another mesh or robot: built aside while the old one runs, then swapped between ticks.
@@ -421,20 +370,18 @@ class Session:
             unit: of the mesh file.
             robot: name; None keeps the robot.
             progress: called with a few words before each step.
+            stop: of the `work` that this belongs to; None: it is one of its own.
             more: other `Options` by name, such as ``repair=True``. Of those that belong to the mesh
                 (`settings.MESH`) another mesh takes the ones named here and the defaults.
 
         Raises:
-            Refused: another change is under way.
-            Stopped: `stop_change` was called.
+            Refused: other work is under way.
+            Stopped: it was stopped.
             ValueError: unknown names or an unusable mesh, with the reason; the old scene goes on.
         """
-        with self._turn():
-            pass  # refused now rather than after the scene is built
-        if not self._changing.acquire(blocking=False):
-            raise Refused("another change is under way: wait until it is done")
-        self._stop = stop = aside.Stop()
-        try:
+        with contextlib.ExitStack() as stack:
+            with self._turn():  # refused now rather than after the scene is built
+                stop = stack.enter_context(self._working(stop))
             wanted: dict[str, Any] = {}
             if mesh is not None:
                 wanted = {name: getattr(DEFAULTS, name) for name in MESH}
@@ -445,24 +392,21 @@ class Session:
             options = replace(self.options, **wanted)
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
-            new = aside.build(options, self.scene.version + 1, arm, progress, stop)
+            new = worker.build(options, self.scene.version + 1, arm, progress, stop)
             if stop.asked:
-                raise aside.Stopped("stopped: nothing is changed")
+                raise worker.Stopped("stopped: nothing is changed")
             with self._lock:
                 # Settings may have moved on while the scene was being built.
                 options = replace(self.options, **wanted)
                 plant = scenes.plant(new, options)
-                self.scene, self.options, self._clutched = new, options, False
-                self._command(None, autopilot=False, plant=plant)
+                self.scene, self.options = new, options
+                self.master.hold()
+                self._command(autopilot=False, plant=plant)
                 self._await_scene()
-                self._latch_on_tool(handle_too=True)
+                self._remap()
+                self.master.place(self._tool())
+                self.master.hold()
             return new
-        finally:
-            self._changing.release()
-
-    def stop_change(self) -> None:
-        """Give up the change under way, if there is one: the old scene goes on."""
-        self._stop()
 
     # Inner workings; callers hold the lock
 
@@ -474,36 +418,35 @@ class Session:
                 raise Refused(self._suspended)
             yield
 
-    def _latched(self, proxy: pin.SE3) -> Teleop:
-        """The map that takes the present handle to this proxy, by the present settings."""
+    def _working(self, stop: worker.Stop | None) -> contextlib.AbstractContextManager[worker.Stop]:
+        """A work of its own, or the one that was begun with this `stop`."""
+        return self.work.begin() if stop is None else contextlib.nullcontext(stop)
+
+    def _ticked(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
+        """From the control thread, after every advance of the engine."""
+        self._watch.take(orders, telemetry, ticked)
+        if telemetry.step is not None:
+            self.master.feel(telemetry.step.force)
+
+    def _to_start(self) -> None:
+        """The handle where the tool starts, and no proxy."""
+        self.master.place(self.scene.T_base_start)
+        self.master.hold()
+
+    def _remap(self) -> None:
+        """The teleoperation by the present settings; the proxy does not jump."""
         options = self.options
-        return latch(options.scale, self.handle, proxy, options.lock_orientation)
+        self.master.remap(options.scale, options.lock_orientation)
+        self._order(scale=options.scale, lock_orientation=options.lock_orientation)
 
     def _order(self, **changes: Any) -> None:
         with self._lock:
             self._orders = replace(self._orders, **changes)
             self._inbox.put(self._orders)
 
-    def _command(self, target: pin.SE3 | None, held: bool = False, **changes: Any) -> None:
-        """A new command, together with other changes that must be seen at the same tick."""
-        command = Command(
-            target=target,
-            sequence=self._orders.command.sequence + 1,
-            clutch=self._clutched,
-            held=held,
-            stamp=time.monotonic(),
-        )
-        self._order(command=command, **changes)
-
-    def _set(self, **changes: Any) -> Options:
-        """New settings through a new plant; the numbers were clamped before."""
-        with self._turn():
-            options = replace(self.options, **changes)
-            if options != self.options:
-                plant = scenes.plant(self.scene, options)
-                self.options = options
-                self._order(plant=plant)
-            return options
+    def _command(self, **changes: Any) -> None:
+        """What the master says, together with other changes that must be seen at the same tick."""
+        self._order(command=self.master.command(self._orders.command.sequence + 1), **changes)
 
     def _tool(self) -> pin.SE3:
         """The tool's pose as last seen."""
@@ -511,12 +454,6 @@ class Session:
         if telemetry.step is None or telemetry.scene != self.scene.version:
             return pin.SE3(self.scene.T_base_start)
         return pin.SE3(telemetry.step.tip)
-
-    def _latch_on_tool(self, handle_too: bool) -> None:
-        tool = self._tool()
-        if handle_too:
-            self.handle = tool
-        self._teleop = self._latched(tool)
 
     def _await_scene(self, timeout: float = 5.0) -> None:
         """Wait until the loop runs in the present scene, to learn where the tool is in it."""
@@ -526,34 +463,3 @@ class Session:
             if telemetry.scene == self.scene.version and telemetry.step is not None:
                 return
             time.sleep(1e-3)
-
-
-def checked_pose(pose: pin.SE3) -> pin.SE3:
-    """A copy of a pose that came from outside, its rotation made orthonormal to rounding.
-
-    Raises:
-        Refused: not finite, not a rotation within 1e-3, or farther than `FARTHEST` away.
-    """
-    p, R = np.array(pose.translation), np.array(pose.rotation)
-    if not (np.isfinite(p).all() and np.isfinite(R).all()):
-        raise Refused("the proxy is not finite")
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
-        raise Refused("the proxy's rotation is not a rotation (not orthonormal, or mirrored)")
-    T_base_pose = pin.SE3(pin.Quaternion(R).normalized().matrix(), p)
-    _check_distance(T_base_pose)
-    return T_base_pose
-
-
-def _check_distance(pose: pin.SE3) -> None:
-    distance = math.hypot(*pose.translation)
-    if distance > FARTHEST:
-        raise Refused(
-            f"the proxy is {distance:.2f} m from the arm's base; at most {FARTHEST:g} m is allowed"
-        )
-
-
-def _clamped(name: str, value: float) -> float:
-    try:
-        return in_range(name, value)
-    except OptionError as error:
-        raise Refused(str(error)) from None

@@ -3,14 +3,14 @@
 Everything that comes out of this package is in metres.
 """
 
-from meshes.catalogue import Entry, absent, catalogue, names, planned_path
+from meshes.builtin.catalogue import Entry, absent, catalogue, names, planned_path
+from meshes.checks.health import Finding, Health, health
+from meshes.checks.repair import Changes, Repaired, repair
 from meshes.errors import MeshError, UnitGuess
 from meshes.frames import FRAMES, told
-from meshes.health import Finding, Health, health
 from meshes.load import FORMATS, FREESURFER, Loaded, arrays, kind, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
-from meshes.repair import Changes, Repaired, repair
 from meshes.save import WRITABLE, save
 from meshes.units import UNITS, UnitNeeded
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.builtin.shapes import Arrays
 from meshes.errors import MeshError
-from meshes.shapes import Arrays
 
 SIZE_LIMIT = 500_000_000  # [byte] of a file, and of what a packed one holds: ten million triangles
 RATIO = 50  # that packed data may unpack to; meshes written as text pack to some tenth

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes import frames, freesurfer, gifti, gltf, obj, off, packed, ply, stl, threemf, vtk, vtp
-from meshes.catalogue import absent, catalogue, first_use
+from meshes import frames, packed
+from meshes.builtin.catalogue import absent, catalogue, first_use
+from meshes.builtin.shapes import Arrays
 from meshes.content import SIZE_LIMIT, Content, allowed_unpacked, check_unpacked
 from meshes.errors import MeshError
-from meshes.shapes import Arrays
+from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
 from meshes.units import UNITS, diagonal, settled
 from vf.surface import Surface
 

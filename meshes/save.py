@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes import frames
+from meshes.checks.health import FloatArray, IntArray, checked_mesh
 from meshes.errors import MeshError
-from meshes.health import FloatArray, IntArray, checked_mesh
 from meshes.units import UNITS
 
 WRITABLE = ("stl", "obj", "ply", "off", "glb")

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bench.settings import View
-from app.bench.watcher import WINDOW, Watcher, answer, browse
+from app.bench.tools.settings import View
+from app.bench.tools.watcher import WINDOW, Watcher, answer, browse
 
 RATIO = 1.0  # pixels of the screen for each of the window's
 # Between two drag events: the tool is at rest again and drawn, also without a graphics card [s].
@@ -95,8 +95,8 @@ def run(
         ValueError: an unusable mesh.
     """
     from app.bench.loop import Tap, summary
-    from app.bench.machine import machine, percentiles
-    from app.loop import prefer_this_process
+    from app.bench.tools.machine import machine, percentiles
+    from app.control.loop import prefer_this_process
     from app.session import Session
     from app.settings import Options
     from app.view.page import Page

@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import meshes
-from app.bench import report
-from app.bench.machine import machine, percentiles, resident
-from app.bench.settings import Loop
-from app.bench.watcher import NoBrowser, Watcher
+from app.bench.tools import report
+from app.bench.tools.machine import machine, percentiles, resident
+from app.bench.tools.settings import Loop
+from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
-from app.loop import prefer_this_process
-from app.session import Refused, Session
+from app.control.loop import prefer_this_process
+from app.refused import Refused
+from app.session import Session
 from app.settings import Options
 from app.view.page import Page
-from meshes import ladder
+from meshes.builtin import ladder
 
 OTHER = "skull-fine"  # what the loading phase changes to and back: 936,456 triangles
 JOINING = 5.0  # a second client comes, and goes, at most this often [s]

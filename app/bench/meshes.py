@@ -15,11 +15,11 @@ from rich.console import Console
 
 import meshes
 import vf
-from app.bench import report
-from app.bench.machine import machine, resident
-from app.bench.settings import Meshes
+from app.bench.tools import report
+from app.bench.tools.machine import machine, resident
+from app.bench.tools.settings import Meshes
 from app.console import Column, count, show_table
-from meshes.damage import damage
+from meshes.builtin.damage import damage
 
 FLIPPED = 0.02  # share of the faces turned over before the repair
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
-from app.bench import course as courses
 from app.bench import queries, solvers
-from app.bench.machine import machine, no_collection, percentiles
 from app.bench.queries import Bodies, Holders, Peer
-from app.bench.reference import leak
-from app.bench.settings import Peers
-from app.settings import format_length
-from meshes import ladder
+from app.bench.tools import route as courses
+from app.bench.tools.machine import machine, no_collection, percentiles
+from app.bench.tools.reference import leak
+from app.bench.tools.settings import Peers
+from app.words import format_length
+from meshes.builtin import ladder
 
 FloatArray = NDArray[np.float64]
 Check = Callable[[Sequence[Any], Sequence[int]], tuple[bool, str]]

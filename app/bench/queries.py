@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.bench.reference import Centroids, distances
+from app.bench.tools.reference import Centroids, distances
 
 FloatArray = NDArray[np.float64]
 Near = tuple[float, int]  # distance [mm], triangle

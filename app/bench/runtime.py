@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
-from app.bench import course as courses
-from app.bench.machine import machine, no_collection, percentiles
-from app.bench.settings import Runtime
-from meshes import ladder
+from app.bench.tools import route as courses
+from app.bench.tools.machine import machine, no_collection, percentiles
+from app.bench.tools.settings import Runtime
+from meshes.builtin import ladder
 
 FloatArray = NDArray[np.float64]
 Say = Callable[[str], None]

@@ -13,10 +13,10 @@ import numpy as np
 from rich.console import Console
 
 from app.bench.loop import Tap, summary
-from app.bench.machine import machine, resident
-from app.bench.settings import Soak
-from app.bench.watcher import Watcher
-from app.loop import prefer_this_process
+from app.bench.tools.machine import machine, resident
+from app.bench.tools.settings import Soak
+from app.bench.tools.watcher import Watcher
+from app.control.loop import prefer_this_process
 from app.session import Session
 from app.settings import Options
 from app.view import guard

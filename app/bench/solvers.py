@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import robots
 import vf
 from app.bench.queries import Peer
-from app.bench.reference import least_squares
+from app.bench.tools.reference import least_squares
 from vf.problem import rotation_log
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
-from app.messages import Command, Telemetry
+from app.control.messages import Command, Telemetry
 from app.recording.format import JOINTS
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
-from app.autopilot import Course
-from app.engine import Orders, Plant, State
-from app.messages import Telemetry
+from app.control.autopilot import Course
+from app.control.engine import Orders, Plant, State
+from app.control.messages import Telemetry
 from app.recording.format import (
     BLOCK,
     CHUNK,

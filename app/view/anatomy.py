@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.meeting import sees
-from app.scene import Scene
+from app.judges.meeting import sees
+from app.scene.scene import Scene
 from app.view import palette
 from app.view.units import VIEW_SCALE, to_buffer
 

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.scene import Scene
+from app.scene.scene import Scene
 from app.view.units import to_buffer, to_view
 from robots import Arm
 

@@ -9,7 +9,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.scene import Scene
+from app.scene.scene import Scene
 from app.view.units import to_view
 
 FloatArray = NDArray[np.float64]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import viser
 
+from app.control.watch import Crossing
 from app.view import palette
 from app.view.labels import Labels
 from app.view.units import to_view
-from app.watch import Crossing
 
 
 class CrossingMark:

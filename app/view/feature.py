@@ -8,10 +8,10 @@ from typing import Protocol
 
 import viser
 
-from app.library import Library
-from app.messages import Telemetry
-from app.scenario import Scenario
-from app.scene import Scene
+from app.control.messages import Telemetry
+from app.scenarios.file import Scenario
+from app.scene.library import Library
+from app.scene.scene import Scene
 from app.session import Session
 from app.view.camera import Following
 from app.view.escape import Escape

@@ -13,8 +13,9 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
-from app.loop import VIEW_PRIORITY, prefer_this_thread
-from app.session import Refused, Session
+from app.control.loop import VIEW_PRIORITY, prefer_this_thread
+from app.refused import Refused
+from app.session import Session
 from app.view import who
 from app.view.proxy import Proxy
 from app.view.units import pose_from_view, same_pose

@@ -7,11 +7,11 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from app.messages import Telemetry
-from app.player import Moment
+from app.control.messages import Telemetry
+from app.control.watch import Crossing
+from app.recording.playback import Moment
 from app.view.depth import Whereabouts, whereabouts
 from app.view.readouts import Extras
-from app.watch import Crossing
 
 
 class Measuring:

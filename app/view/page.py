@@ -14,12 +14,13 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
-from app.library import Library
-from app.loop import VIEW_PRIORITY, prefer_this_thread
-from app.messages import Telemetry
-from app.player import Moment
-from app.scenario import Scenario
-from app.scene import Scene
+from app.control.loop import VIEW_PRIORITY, prefer_this_thread
+from app.control.messages import Telemetry
+from app.control.watch import Crossing
+from app.recording.playback import Moment
+from app.scenarios.file import Scenario
+from app.scene.library import Library
+from app.scene.scene import Scene
 from app.session import Session
 from app.view import camera, guard, light, readouts, style, who
 from app.view.anatomy import Anatomy
@@ -46,7 +47,6 @@ from app.view.signals import Signals
 from app.view.tool import Tool
 from app.view.uploads import Uploads
 from app.view.views import Views
-from app.watch import Crossing
 
 log = logging.getLogger(__name__)
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 import vf
-from app.messages import Telemetry
+from app.control.messages import Telemetry
+from app.control.watch import Crossing
 from app.settings import Options
 from app.view import palette
 from app.view.depth import Whereabouts
 from app.view.fixture import LEANING
-from app.watch import Crossing
 
 _HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
 _NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"

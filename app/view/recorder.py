@@ -13,12 +13,12 @@ import platformdirs
 import viser
 
 from app import files
-from app.messages import Telemetry
+from app.control.messages import Telemetry
 from app.recording.format import SUFFIX
 from app.recording.outline import outline
 from app.recording.read import read, under_way
-from app.scene import Scene
-from app.session import Refused
+from app.refused import Refused
+from app.scene.scene import Scene
 from app.view import dialogs, palette
 from app.view.feature import Stage
 from app.view.pictures import Pictures
@@ -116,8 +116,12 @@ class RecordTab:
 
     def _start(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
-        self._take_time(f"Opening {path.name} …")
-        self._replaying.show(path.stem, read(path))
+        doing = f"Opening {path.name}"
+        self._take_time(f"{doing} …")
+        with self._session.work.begin() as stop:
+            self._replaying.show(
+                path.stem, read(path), lambda text: self._take_time(f"{doing}: {text} …"), stop
+            )
 
     def _send(self, client: viser.ClientHandle) -> None:
         path = self._chosen()

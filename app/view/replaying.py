@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.player import Moment, Player, Transport, build_scenes
 from app.recording.format import Recording
-from app.session import Refused
+from app.recording.playback import Moment, Player, Transport, build_scenes
+from app.refused import Refused
+from app.scene.scene import Progress
+from app.scene.worker import Stop
 from app.view import camera
 from app.view.feature import Stage
 from app.view.screen import Screen
@@ -86,23 +88,28 @@ class Replaying:
 
         stage.escape.offer(self.leave)
 
-    def show(self, name: str, recording: Recording) -> None:
+    def show(self, name: str, recording: Recording, progress: Progress, stop: Stop) -> None:
         """Put a recording on the screen, in the place of the session or of another one.
 
+        Args:
+            progress: called with a few words before each step.
+            stop: of the session's work that this is.
+
         Raises:
-            ValueError: it holds no tick, its mesh is not there or another one now, or the session
-                is just then busy; what is on the screen stays.
+            ValueError: it holds no tick, its mesh is not there or another one now, or it was
+                stopped; what is on the screen stays.
         """
         if not len(recording.rows):
             raise Refused("the recording holds no tick")
         if self._stage.fixture.withdrawn:
             raise Refused("leave “Freeze and explore” first (tab Inspector)")
         self._opened += 1
-        built = build_scenes(recording, REPLAYED + 1000 * self._opened, like=self._session.scene)
+        version = REPLAYED + 1000 * self._opened
+        built = build_scenes(recording, version, self._session.scene, progress, stop)
         replay = Replay(name, Player(recording, built), self._stage.screen)
         replay.now()  # whatever is wrong shows here, not in the picture
         if self.replay is None:
-            self._session.suspend(SUSPENDED)
+            self._session.suspend(SUSPENDED, stop)
             self._stage.hand.let_go()
             self._views = {
                 client_id: camera.View(

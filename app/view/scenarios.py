@@ -6,7 +6,6 @@ import html
 import itertools
 import shutil
 import tempfile
-import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,16 +14,16 @@ import numpy as np
 import viser
 
 import meshes
-from app.course import present, stage
-from app.messages import Telemetry
-from app.presets import PRESETS
-from app.scenario import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
-from app.scene import Scene
-from app.settings import OptionError, format_length
+from app.control.messages import Telemetry
+from app.scenarios.file import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
+from app.scenarios.presets import PRESETS
+from app.scenarios.staging import present, stage
+from app.scene.scene import Scene
 from app.view import camera, palette
 from app.view.feature import Stage
 from app.view.units import VIEW_SCALE
 from app.view.uploads import Receiver
+from app.words import OptionError, format_length
 
 ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
 FILE_NAME = "scenario.json"
@@ -43,7 +42,7 @@ class ScenarioChoice:
         self._session, self._server = stage.session, stage.server
         self._hand, self._tell, self._look = stage.hand, stage.tell, stage.look
         self._following, self._screen, self._library = stage.following, stage.screen, stage.library
-        self._busy = threading.Lock()
+        self._loading = False  # the sentence tells how far it is
         self._scenarios = dict(PRESETS)
         begun = stage.scenario
         if begun is not None:
@@ -74,7 +73,7 @@ class ScenarioChoice:
 
         @self._choice.on_update
         async def _chosen(_event: viser.GuiEvent[Any]) -> None:
-            if not self._busy.locked():
+            if not self._loading:
                 self._tell_about()
 
         # A plain function: viser runs it in its pool, where building may take its time.
@@ -103,7 +102,7 @@ class ScenarioChoice:
 
     def set_scene(self, scene: Scene) -> None:
         """Another mesh or arm: what was loaded is there no longer."""
-        if not self._busy.locked():
+        if not self._loading:
             self._tell_about()
 
     def frame(self, telemetry: Telemetry) -> None:
@@ -156,18 +155,18 @@ class ScenarioChoice:
         self._begin(client, self._scenarios[name])
 
     def _begin(self, client: viser.ClientHandle, scenario: Scenario) -> None:
-        if not self._busy.acquire(blocking=False):
-            self._tell(client, "Another scenario is being loaded: wait until it is there.")
-            return
         try:
-            stage(scenario, self._session, self._progress)
-            self._shown, self._arriving = (scenario, self._session.scene.version), True
+            with self._session.work.begin() as stop:
+                self._loading = True
+                try:
+                    stage(scenario, self._session, self._progress, stop)
+                    self._shown, self._arriving = (scenario, self._session.scene.version), True
+                finally:
+                    self._loading = False
+                    self._tell_about()
         except Exception as error:
             # Whatever a reader of a mesh file may raise, the page and the old scene go on.
             self._tell(client, f"Not loaded: {error}")
-        finally:
-            self._busy.release()
-            self._tell_about()
 
     def _save(self, client: viser.ClientHandle) -> None:
         options, mesh = self._session.options, self._session.scene.mesh_name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from app.player import Moment
+from app.recording.playback import Moment
 from app.session import Session
 
 
@@ -37,5 +37,5 @@ class Screen:
             session = self._session
             # Telemetry first: what it refers to is in force by then, or will be.
             telemetry = session.latest()
-            self.shown = Moment(session.scene, session.options, telemetry, session.clutched)
+            self.shown = Moment(session.scene, session.options, telemetry, session.master.clutched)
         return self.shown

@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 from trimesh import intersections
 
-from app.scene import Scene
+from app.scene.scene import Scene
 from app.view.anatomy import Anatomy
 from app.view.units import to_view
 from app.view.worker import Worker

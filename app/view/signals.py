@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.messages import Telemetry
-from app.scene import Scene
+from app.control.messages import Telemetry
+from app.scene.scene import Scene
 from app.view import palette, trail
 from app.view.depth import signed_distance
 from app.view.feature import Stage

@@ -16,12 +16,14 @@ from typing import Any
 import pytest
 
 import meshes
-from app import replay as replays
 from app.__main__ import main
-from app.experiments import calibration, protocol, study
+from app.recording import rerun as rerun_module
 from app.session import Session
 from app.settings import Options
-from app.verification import campaign
+from app.studies import batch as study
+from app.studies.experiments import calibration, protocol
+from app.studies.verification import campaign
+from tests.support.headless import wait_until
 
 ROOT = Path(__file__).parents[2]
 SHORT = ["--rate", "50", "--length", "2mm"]
@@ -100,14 +102,13 @@ def test_a_replay_tells_how_far_it_is_the_same(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-    wait_until: Callable[[Callable[[], bool]], None],
 ) -> None:
     path = tmp_path / "some.vfrec"
     with Session(Options(mesh="cube", robot="point", rate=500.0)) as session:
         tape = session.record(str(path))
         wait_until(lambda: session.latest().tick > 10)
         tape.finish()
-    whole = replays.rerun
+    whole = rerun_module.rerun
 
     def rerun(*arguments: Any, **keywords: Any) -> Any:
         for k, row in enumerate(whole(*arguments, **keywords)):
@@ -115,7 +116,7 @@ def test_a_replay_tells_how_far_it_is_the_same(
                 raise KeyboardInterrupt
             yield row
 
-    monkeypatch.setattr(replays, "rerun", rerun)
+    monkeypatch.setattr(rerun_module, "rerun", rerun)
     assert main(["replay", str(path)]) == 130
     assert "interrupted: 2 of " in capsys.readouterr().err
     assert main(["replay", str(path), "--check"]) == 130

@@ -12,15 +12,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from everyday import everyday
 
 import meshes
 import robots
-from app.session import FARTHEST, Refused, Session
-from app.settings import OptionError, Options
-
-Wait = Callable[[Callable[[], bool]], None]
-Moved = Callable[..., pin.SE3]
+from app.devices.page import FARTHEST_PROXY
+from app.refused import Refused
+from app.session import Session
+from app.settings import Options
+from app.words import OptionError
+from tests.support.brute import Oracle
+from tests.support.everyday import everyday
+from tests.support.headless import moved, wait_until
 
 CATALOGUE = [name for name in meshes.names() if "fine" not in name]
 
@@ -50,12 +52,7 @@ def rests_at(session: Session, point: np.ndarray, within: float = 1e-6) -> Calla
 @pytest.mark.parametrize("robot", ["point", "psm"])
 @pytest.mark.parametrize("mesh", everyday(CATALOGUE, "skull", "thin-plate", "gear"))
 def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
-    mesh: str,
-    robot: str,
-    oracle: type[Any],
-    tapes: list[Any],
-    wait_until: Wait,
-    moved: Moved,
+    mesh: str, robot: str, tapes: list[Any]
 ) -> None:
     with Session(Options(mesh=mesh, robot=robot)) as session:
         surface, start = session.scene.surface, session.scene.T_base_start
@@ -70,7 +67,7 @@ def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
         session.drive(inside)
         first = session.latest().tick
         wait_until(lambda: session.latest().tick > first + 600)
-    truth = oracle(surface.vertices, surface.faces)
+    truth = Oracle(surface.vertices, surface.faces)
     path = np.array([start.translation] + [t.step.tip.translation for t in tapes[1].items[1:]])
     assert truth.crossings(path) == 0
     for point in path[:: len(path) // 3]:
@@ -81,9 +78,7 @@ def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2e-3
 
 
-def test_the_proxy_may_be_anything_sensible_and_nothing_else(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_proxy_may_be_anything_sensible_and_nothing_else(session: Session) -> None:
     good = moved(session.scene.T_base_start, dx=0.004)
     session.drive(good)
     wait_until(lambda: session.latest().step is not None)
@@ -99,7 +94,7 @@ def test_the_proxy_may_be_anything_sensible_and_nothing_else(
         ],
         "not a rotation": [pin.SE3(1.1 * R, p), pin.SE3(mirrored, p), pin.SE3(0.0 * R, p)],
         "at most 2 m": [
-            pin.SE3(R, np.array([0.0, 0.0, FARTHEST + 0.01])),
+            pin.SE3(R, np.array([0.0, 0.0, FARTHEST_PROXY + 0.01])),
             pin.SE3(R, np.array([1e300, 0.0, 0.0])),
         ],
     }
@@ -119,7 +114,7 @@ def test_the_proxy_may_be_anything_sensible_and_nothing_else(
     wait_until(rests_at(session, again.translation))
 
 
-def test_the_caller_may_go_on_using_its_pose(session: Session, wait_until: Wait) -> None:
+def test_the_caller_may_go_on_using_its_pose(session: Session) -> None:
     pose = pin.SE3(session.scene.T_base_start)
     session.drive(pose)
     pose.translation = np.array([0.0, 0.0, 1.0])
@@ -127,7 +122,7 @@ def test_the_caller_may_go_on_using_its_pose(session: Session, wait_until: Wait)
     assert session.latest().target.isApprox(session.scene.T_base_start, 1e-12)
 
 
-def test_pause_single_step_and_resume(session: Session, wait_until: Wait, moved: Moved) -> None:
+def test_pause_single_step_and_resume(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dx=0.25))
     session.pause()
     wait_until(lambda: session.latest().paused)
@@ -150,9 +145,7 @@ def test_pause_single_step_and_resume(session: Session, wait_until: Wait, moved:
     assert session.latest().tick <= tick + 1
 
 
-def test_reset_brings_tool_handle_and_proxy_home(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_reset_brings_tool_handle_and_proxy_home(session: Session) -> None:
     goal = moved(session.scene.T_base_start, dx=0.02)
     session.drive(goal)
     wait_until(lambda: session.latest().step is not None)
@@ -165,9 +158,7 @@ def test_reset_brings_tool_handle_and_proxy_home(
     np.testing.assert_array_equal(session.latest().q, session.scene.start)
 
 
-def test_recall_puts_handle_and_proxy_onto_the_tool(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_recall_puts_handle_and_proxy_onto_the_tool(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -185,16 +176,16 @@ def test_recall_puts_handle_and_proxy_onto_the_tool(
 
 
 def test_a_scaled_handle_moves_the_proxy_less_and_a_new_scale_does_not_jump(
-    session: Session, wait_until: Wait, moved: Moved
+    session: Session,
 ) -> None:
     start = session.scene.T_base_start
-    assert session.set_scale(0.2) == 0.2
+    assert session.set(scale=0.2).scale == 0.2
     session.drive(moved(start, dx=0.02))
     wait_until(lambda: session.latest().target is not None)
     np.testing.assert_allclose(
         session.latest().target.translation, moved(start, dx=0.004).translation, atol=1e-12
     )
-    assert session.set_scale(0.5) == 0.5
+    assert session.set(scale=0.5).scale == 0.5
     sequence = session.latest().sequence
     session.drive(moved(start, dx=0.02))
     wait_until(lambda: session.latest().sequence > sequence)
@@ -208,9 +199,7 @@ def test_a_scaled_handle_moves_the_proxy_less_and_a_new_scale_does_not_jump(
     )
 
 
-def test_the_clutch_frees_the_handle_and_latches_anew_on_release(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_clutch_frees_the_handle_and_latches_anew_on_release(session: Session) -> None:
     start = session.scene.T_base_start
     goal = moved(start, dx=0.01)
     session.drive(goal)
@@ -235,7 +224,7 @@ def test_the_clutch_frees_the_handle_and_latches_anew_on_release(
     wait_until(rests_at(session, held + np.array([0.0, 0.0, 0.005])))
 
 
-def test_a_drag_that_goes_silent_holds_the_tool(wait_until: Wait, moved: Moved) -> None:
+def test_a_drag_that_goes_silent_holds_the_tool() -> None:
     options = Options(mesh="cube", robot="point", stale_after=0.1)
     with Session(options) as session:
         far = moved(session.scene.T_base_start, dz=0.25)
@@ -250,53 +239,54 @@ def test_a_drag_that_goes_silent_holds_the_tool(wait_until: Wait, moved: Moved) 
         assert not session.latest().stale
 
 
-def test_settings_change_while_running_and_are_clamped(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_settings_change_while_running_and_are_clamped(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
-    assert session.set_radius(1e-3) == 1e-3
+    assert session.set(radius=1e-3).radius == 1e-3
     wait_until(lambda: session.latest().step.radius == 1e-3)
-    assert session.set_radius(1e3) == 2e-2
-    assert session.set_radius(-1.0) == 5e-5
-    assert session.set_radius(None) is None
-    assert session.set_force_gain(1e9) == 1000.0
-    assert session.set_standoff(1.0) == 1e-3
-    assert session.set_scale(-3.0) == 0.05
-    assert session.set_tip_radius(2e-3) == 2e-3
+    assert session.set(radius=1e3).radius == 2e-2
+    assert session.set(radius=-1.0).radius == 5e-5
+    assert session.set(radius=None).radius is None
+    assert session.set(force_gain=1e9).force_gain == 1000.0
+    assert session.set(standoff=1.0).standoff == 1e-3
+    assert session.set(scale=-3.0).scale == 0.05
+    assert session.set(tip_radius=2e-3).tip_radius == 2e-3
     top = session.scene.surface.vertices[:, 2].max()
     wait_until(lambda: abs(tool(session)[2] - top - 3e-3) < 1e-5)  # tip radius and standoff
-    for setter in (session.set_radius, session.set_force_gain, session.set_tip_radius):
-        with pytest.raises(Refused, match="must be a number"):
-            setter(math.nan)
+    for name in ("radius", "force_gain", "tip_radius"):
+        with pytest.raises(Refused, match=f"{name} nan"):
+            session.set(**{name: math.nan})
+        with pytest.raises(Refused, match=f"{name} must be a number"):
+            session.set(**{name: "1"})
+    for name in ("mesh", "robot", "rate", "host", "nothing"):
+        with pytest.raises(Refused, match=f"{name} is nothing that is set"):
+            session.set(**{name: 1})
     assert session.options == Options(
         mesh="cube", robot="point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,
         force_gain=1000.0,
     )  # fmt: skip
 
 
-def test_the_rule_changes_while_running(session: Session, wait_until: Wait, moved: Moved) -> None:
+def test_the_rule_changes_while_running(session: Session) -> None:
     below = moved(session.scene.T_base_start, dz=-0.03)
     top = session.scene.surface.vertices[:, 2].max()
     session.drive(below)
     wait_until(lambda: session.latest().step is not None)
     for rule in ("paper", "all", "certified"):
-        assert session.set_rule(rule) == rule
+        assert session.set(rule=rule).rule == rule
         wait_until(lambda: abs(tool(session)[2] - top) < 1e-4)
         tick = session.latest().tick
         wait_until(lambda tick=tick: session.latest().tick > tick + 50)
         assert tool(session)[2] > top
     with pytest.raises(Refused, match="unknown rule 'soft': choose one of certified, paper, all"):
-        session.set_rule("soft")
+        session.set(rule="soft")
     assert session.options.rule == "certified"
-    session.set_rule("off")
+    session.set(rule="off")
     wait_until(rests_at(session, below.translation))
 
 
-def test_mesh_and_robot_change_while_running(
-    session: Session, wait_until: Wait, moved: Moved, oracle: type[Any]
-) -> None:
+def test_mesh_and_robot_change_while_running(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -311,7 +301,7 @@ def test_mesh_and_robot_change_while_running(
         assert (session.options.mesh, session.options.robot) == (new.mesh_name, new.robot)
         # The handle is on the tool, the tool is free and at rest.
         np.testing.assert_allclose(session.handle.translation, tool(session), atol=1e-9)
-        truth = oracle(new.surface.vertices, new.surface.faces)
+        truth = Oracle(new.surface.vertices, new.surface.faces)
         assert abs(truth.winding(tool(session))) < 0.5
         assert session.latest().target is None
         goal = moved(session.handle, dx=0.002, dz=0.002)
@@ -322,9 +312,7 @@ def test_mesh_and_robot_change_while_running(
     assert any("panda" in word for word in words)
 
 
-def test_a_change_that_fails_keeps_what_was_there(
-    session: Session, wait_until: Wait, moved: Moved, tmp_path: Path
-) -> None:
+def test_a_change_that_fails_keeps_what_was_there(session: Session, tmp_path: Path) -> None:
     goal = moved(session.scene.T_base_start, dx=0.003)
     session.drive(goal)
     wait_until(lambda: session.latest().step is not None)
@@ -347,7 +335,7 @@ def test_a_change_that_fails_keeps_what_was_there(
 
 
 def test_a_file_in_millimetres_keeps_the_tool_at_its_surface(
-    tmp_path: Path, session: Session, wait_until: Wait, moved: Moved
+    tmp_path: Path, session: Session
 ) -> None:
     path = tmp_path / "block.stl"
     trimesh.creation.box((40.0, 40.0, 20.0)).export(path)
@@ -381,16 +369,14 @@ def test_one_change_at_a_time(session: Session) -> None:
     with pytest.raises(Refused, match="another change is under way"):
         session.change(mesh="cone")
     # The old scene can still be driven and set while the new one is being built.
-    session.set_rule("paper")
+    session.set(rule="paper")
     go_on.set()
     slow.join()
     assert session.options.mesh == "torus"
     assert session.options.rule == "paper"
 
 
-def test_the_autopilot_drives_until_a_hand_takes_over(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_autopilot_drives_until_a_hand_takes_over(session: Session) -> None:
     session.set_autopilot(True)
     wait_until(lambda: session.latest().autopilot and session.latest().target is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -405,20 +391,18 @@ def test_the_autopilot_drives_until_a_hand_takes_over(
     wait_until(rests_at(session, goal.translation))
 
 
-def test_a_locked_orientation_holds_and_its_release_does_not_jump(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_a_locked_orientation_holds_and_its_release_does_not_jump(session: Session) -> None:
     start = session.scene.T_base_start
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
     session.drive(pin.SE3(turn @ start.rotation, start.translation))
-    assert session.set_orientation_lock(True)
+    assert session.set(lock_orientation=True).lock_orientation
     goal = moved(start, dx=0.002)
     session.drive(pin.SE3(turn @ turn @ goal.rotation, goal.translation))
     wait_until(lambda: session.latest().target is not None)
     wait_until(rests_at(session, goal.translation))
     np.testing.assert_allclose(session.latest().target.rotation, turn @ start.rotation, atol=1e-12)
     sequence = session.latest().sequence
-    assert not session.set_orientation_lock(False)
+    assert not session.set(lock_orientation=False).lock_orientation
     session.drive(session.handle)
     wait_until(lambda: seen(session, sequence + 1))
     np.testing.assert_allclose(session.latest().target.rotation, turn @ start.rotation, atol=1e-12)
@@ -429,11 +413,9 @@ def test_a_locked_orientation_holds_and_its_release_does_not_jump(
     )
 
 
-def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
-    session: Session, wait_until: Wait
-) -> None:
+def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(session: Session) -> None:
     start = np.array(session.handle.translation)
-    session.set_scale(0.5)
+    session.set(scale=0.5)
     session.nudge([1e-3, 0.0, 0.0])
     session.nudge(np.array([1e-3, -1e-4, 0.0]))
     np.testing.assert_allclose(session.handle.translation - start, [2e-3, -1e-4, 0.0], atol=1e-12)
@@ -448,14 +430,12 @@ def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
     wait_until(lambda: not session.latest().autopilot)
 
 
-def test_the_tip_speed_limit_is_clamped_and_holds_between_any_two_ticks(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
-    assert session.set_tip_speed(99.0) == 2.0
-    assert session.set_tip_speed(-1.0) == 1e-3
-    assert session.set_tip_speed(0.02) == 0.02
+def test_the_tip_speed_limit_is_clamped_and_holds_between_any_two_ticks(session: Session) -> None:
+    assert session.set(tip_speed=99.0).tip_speed == 2.0
+    assert session.set(tip_speed=-1.0).tip_speed == 1e-3
+    assert session.set(tip_speed=0.02).tip_speed == 0.02
     with pytest.raises(Refused, match="tip_speed"):
-        session.set_tip_speed(math.nan)
+        session.set(tip_speed=math.nan)
     wait_until(lambda: session.latest().step is not None)
     session.drive(moved(session.scene.T_base_start, dx=0.004))
     seen_at: list[tuple[int, np.ndarray]] = []
@@ -497,7 +477,7 @@ def test_unknown_names_list_the_valid_ones() -> None:
 
 @pytest.mark.parametrize("ran", [True, False])
 def test_a_suspended_session_takes_no_order_and_goes_on_as_it_was(
-    session: Session, wait_until: Wait, moved: Moved, tmp_path: Path, ran: bool
+    session: Session, tmp_path: Path, ran: bool
 ) -> None:
     start = session.scene.T_base_start
     session.drive(moved(start, dx=0.002, dz=-0.001), held=True)
@@ -521,15 +501,15 @@ def test_a_suspended_session_takes_no_order_and_goes_on_as_it_was(
         lambda: session.set_autopilot(True),
         lambda: session.put(start),
         lambda: session.perform(session.scene.autopilot),
-        lambda: session.set_rule("off"),
-        lambda: session.set_radius(1e-3),
-        lambda: session.set_force_gain(10.0),
-        lambda: session.set_standoff(1e-4),
-        lambda: session.set_tip_radius(1e-3),
-        lambda: session.set_corridor(None) if options.corridor else session.set_rule("all"),
-        lambda: session.set_scale(0.5),
-        lambda: session.set_orientation_lock(True),
-        lambda: session.set_tip_speed(0.1),
+        lambda: session.set(rule="off"),
+        lambda: session.set(radius=1e-3),
+        lambda: session.set(force_gain=10.0),
+        lambda: session.set(standoff=1e-4),
+        lambda: session.set(tip_radius=1e-3),
+        lambda: session.set(corridor=None) if options.corridor else session.set(rule="all"),
+        lambda: session.set(scale=0.5),
+        lambda: session.set(lock_orientation=True),
+        lambda: session.set(tip_speed=0.1),
         lambda: session.change(mesh="stairs"),
         lambda: session.record(tmp_path / "run.vfrec"),
         lambda: session.suspend("another"),

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from watching import Visitor, wait_until
 
 from app.session import Session
 from app.view import Page, camera
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -26,8 +26,8 @@ def tab(visit: Callable[[], Visitor], session: Session, page: Page) -> Iterator[
     if session.scene.mesh_name != MESH:
         session.change(mesh=MESH)
     session.resume()
-    session.set_rule("certified")
-    session.set_radius(5e-3)
+    session.set(rule="certified")
+    session.set(radius=5e-3)
     session.reset()
     visitor = visit()
     start = session.scene.T_base_start

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from drawn_labels import Drawn, drawn_labels, overlapping
-from watching import Visitor, wait_until
 
-from app.course import stage
-from app.presets import PRESETS
+from app.scenarios.presets import PRESETS
+from app.scenarios.staging import stage
 from app.session import Session
 from app.view import Page, camera, labels, recorder
 from app.view.units import VIEW_SCALE
 from app.view.views import KEYS
+from tests.support.drawn_labels import Drawn, drawn_labels, overlapping
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -43,10 +43,7 @@ def _fresh(session: Session, visitor: Visitor) -> None:
     if session.scene.mesh_name != MESH or session.options.damage != "none":
         session.change(mesh=MESH, damage="none")
     session.resume()
-    session.set_rule("certified")
-    session.set_radius(5e-3)
-    session.set_scale(1.0)
-    session.set_corridor(None)
+    session.set(rule="certified", radius=5e-3, scale=1.0, corridor=None)
     session.reset()
     wait_until(lambda: session.latest().target is None, "the reset")
     camera.set_lens(visitor.client, camera.FIELD_OF_VIEW)
@@ -59,7 +56,7 @@ def name(node: str) -> str:
 
 def press(session: Session, scale: float = 1.0) -> None:
     """Lead the handle into the bone: the tool stays at it."""
-    session.set_scale(scale)
+    session.set(scale=scale)
     start = session.scene.T_base_start
     for share in np.linspace(0.0, 1.0, 20):
         session.drive(pin.SE3(start.rotation, start.translation + share * PUSH / scale))
@@ -146,7 +143,7 @@ def test_with_a_handle_apart_from_the_proxy_through_the_other_lens_and_in_a_corr
     visitor: Visitor, session: Session
 ) -> None:
     camera.set_lens(visitor.client, camera.PARALLEL)
-    session.set_corridor(5e-3)
+    session.set(corridor=5e-3)
     press(session, scale=0.5)
     visitor.tab.keyboard.press("x")  # a section
     seen = look_around(visitor, session, seed=3)

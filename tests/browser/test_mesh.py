@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from watching import Visitor, wait_until
 
 import meshes
 from app.session import Session
 from app.settings import Options
 from app.view import Page, health
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 

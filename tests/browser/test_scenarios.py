@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from watching import Visitor, drawn_share, wait_until
 
 import meshes
-from app.course import begin
-from app.presets import PRESETS
-from app.scenario import read
+from app.scenarios.file import read
+from app.scenarios.presets import PRESETS
+from app.scenarios.staging import begin
 from app.session import Session
 from app.settings import Options
 from app.view import Page
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -96,7 +96,7 @@ def test_picks_a_scenario_reads_its_sentence_and_sees_it(
 def test_saves_what_is_set_and_starts_with_it_again(
     visitor: Visitor, session: Session, tmp_path: Path
 ) -> None:
-    session.set_radius(1.5e-3)
+    session.set(radius=1.5e-3)
     session.set_autopilot(False)
     session.nudge([0.0, 0.0, 5e-3])
     wait_until(lambda: session.latest().target is not None, "the proxy")
@@ -117,7 +117,7 @@ def test_opens_what_was_saved_and_looks_at_it_from_the_same_place(
     visitor: Visitor, session: Session, tmp_path: Path
 ) -> None:
     session.change(mesh="stairs")
-    session.set_radius(1.25e-3)
+    session.set(radius=1.25e-3)
     session.nudge([2e-3, 0.0, 3e-3])
     wait_until(lambda: session.latest().target is not None, "the proxy")
     visitor.press("Anatomy")

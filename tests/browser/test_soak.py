@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.bench import settings, soak
+from app.bench import soak
+from app.bench.tools import settings
 
 
 @pytest.mark.slow

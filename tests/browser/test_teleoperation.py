@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from watching import Visitor, drawn_share, wait_until
 
 from app.session import Session
 from app.view import Page
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -25,9 +25,9 @@ def _fresh(session: Session) -> Iterator[None]:
         if session.scene.mesh_name != "skull-coarse":
             session.change(mesh="skull-coarse")
         session.resume()
-        session.set_rule("certified")
-        session.set_radius(5e-3)
-        session.set_orientation_lock(False)
+        session.set(rule="certified")
+        session.set(radius=5e-3)
+        session.set(lock_orientation=False)
         session.reset()
         wait_until(lambda: session.latest().target is None, "the reset")
 
@@ -110,7 +110,7 @@ def test_reads_the_plots_and_sees_how_deep_the_tool_goes_without_a_fixture(
     for curve in ("Condition 1", "Condition 2", "Condition 3", "median", "worst"):
         visitor.tab.locator(".u-legend").get_by_text(curve, exact=True).wait_for()
     start = session.scene.T_base_start
-    session.set_rule("off")
+    session.set(rule="off")
     session.drive(pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.016])))
     wait_until(lambda: visitor.tab.evaluate(newest)[0][0] < -0.1, "the depth in the plot")
     visitor.picture("signals")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import meshes
-from meshes import cache
-from meshes.catalogue import Entry
-from meshes.shapes import Arrays, torus
+from meshes.builtin import cache
+from meshes.builtin.catalogue import Entry
+from meshes.builtin.shapes import Arrays, torus
 
 
 class Maker:

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import meshes
-from meshes.shapes import Arrays
+from meshes.builtin.shapes import Arrays
 
 SHAPES = (
     "cube",

@@ -8,7 +8,7 @@ import trimesh
 
 import meshes
 import vf
-from meshes.damage import SHARE, damage, kinds
+from meshes.builtin.damage import SHARE, damage, kinds
 
 NAMES = ("cube", "torus", "gear", "skull-coarse")
 

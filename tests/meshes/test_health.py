@@ -10,11 +10,11 @@ import trimesh
 
 import meshes
 import vf
-from meshes import probe
-from meshes.damage import SHARE, damage
-from meshes.health import Health, health
+from meshes.builtin.damage import SHARE, damage
+from meshes.checks import probe
+from meshes.checks.health import Health, health
+from meshes.checks.topology import topology
 from meshes.meaning import MEANING
-from meshes.topology import topology
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

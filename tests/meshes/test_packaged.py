@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import meshes
-from meshes import packaged
+from meshes.builtin import packaged
 
 needs_nilearn = pytest.mark.skipif(not packaged.has_nilearn(), reason="nilearn is not installed")
 

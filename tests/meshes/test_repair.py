@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 import meshes
 import vf
-from meshes.damage import SHARE, damage, kinds
-from meshes.health import health
-from meshes.repair import repair
+from meshes.builtin.damage import SHARE, damage, kinds
+from meshes.checks.health import health
+from meshes.checks.repair import repair
 
 Mesh = tuple[np.ndarray, np.ndarray]
 NAMES = ("torus", "gear", "gyroid", "skull-coarse", "cube")

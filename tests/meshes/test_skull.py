@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 import meshes
-from meshes import skull
+from meshes.builtin import skull
 
 PARTS = (  # c, A [mm], κ as in the recipe, mirrored by hand
     (0.45, 0.75, 0.5, 2.5, 14),

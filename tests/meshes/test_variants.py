@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from written import (
+
+import meshes
+from tests.support.mesh_files import (
     POINTS,
     QUADS,
     TRIANGLES,
@@ -27,8 +29,6 @@ from written import (
     vtk_text,
     vtp,
 )
-
-import meshes
 
 MARK = b"\xef\xbb\xbf"
 
@@ -383,7 +383,7 @@ def test_lists_of_ply_with_more_than_corners() -> None:
         "end_header", "property list uchar float texcoord\nproperty uchar flag\nend_header"
     )
     rows = b"".join(struct.pack(f"<B4iB{k}fB", 4, *q, k, *range(k), 9) for k, q in enumerate(QUADS))
-    from meshes import ply
+    from meshes.formats import ply
 
     content = ply.read(head.encode() + POINTS.astype("<f4").tobytes() + rows)
     assert len(content.bodies[0][1]) == 12

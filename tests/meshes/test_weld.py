@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from meshes.weld import first_of_kind, weld
+from meshes.checks.weld import first_of_kind, weld
 
 
 @given(seed=st.integers(0, 10_000), tolerance=st.sampled_from([0.0, 1e-9, 1e-3, 0.05, 0.4, 3.0]))

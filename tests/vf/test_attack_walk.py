@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import exact
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,6 +9,7 @@ import trimesh
 
 import robots
 import vf
+from tests.support import exact
 from vf.cover import Buffer
 
 STANDOFF = 1e-3

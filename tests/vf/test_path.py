@@ -100,6 +100,7 @@ def test_a_joint_that_is_beyond_its_limit_goes_no_farther() -> None:
 USELESS = (
     None, "x", 1.0, [], [0.0] * 5, np.zeros((6, 1)), [None] * 6, [np.nan] * 6, [np.inf] * 6,
     [1e308] * 6, [1e300] * 6, [1e16] * 6, [1e200, 0, 0, 0, 0, 0], {"q": 1}, [[0.0], [0.0, 1.0]],
+    [10**400] * 6,
 )  # fmt: skip
 
 

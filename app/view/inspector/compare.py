@@ -1,7 +1,7 @@
 """What every rule would do at one pose: planes, the step, and what leaks or is blocked needlessly.
 
 The arm and the controllers are this module's own. Leaks and blocked space are judged by sampling,
-with no code of the rules: only the list of triangles in the ball is `Surface.within`'s.
+with no code of the rules, over the triangles that `app.judges.boxes` finds.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
-from app import scene as scenes
-from app.scene import Scene
+from app.judges import boxes, oracles
+from app.scene import scene as scenes
+from app.scene.scene import Scene
 from app.settings import Options
 from app.view.inspector.picking import distances
 
@@ -95,9 +96,10 @@ class Comparison:
         """Every rule at x (3,); without a `pose` no step is made."""
         rng = np.random.default_rng(0)  # the same points each time: the numbers do not flicker
         reach = radius + options.tip_radius
-        contacts = surface.within(x, reach)
-        order = np.argsort(contacts.distances)
-        corners = surface.vertices[surface.faces[contacts.triangles[order]]] - x
+        near = boxes.near(boxes.of(surface), x, x, reach)
+        away = oracles.distances(surface, near, x)
+        near = near[np.argsort(away)[: np.count_nonzero(away <= reach)]]
+        corners = surface.vertices[surface.faces[near]] - x
         on_surface = sample(corners, reach, SAMPLES, rng)
         free = reachable(corners[:NEAREST], radius, PATHS, rng)
         inside = surface.inside(x)
@@ -123,7 +125,7 @@ class Comparison:
         p_tip = np.array(made.tip.translation)
         move = p_tip - start
         step = float(np.linalg.norm(move))
-        near = surface.within(0.5 * (start + p_tip), 0.5 * step + 1e-9).triangles
+        near = boxes.near(boxes.of(surface), start, p_tip, 1e-9)
         met = distances(surface.vertices[surface.faces[near]], start, move)
         return step, p_tip, surface.nearest(p_tip)[0], bool(step > 0.0 and (met <= 1.0).any())
 

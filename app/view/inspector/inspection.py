@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.scene import Scene
+from app.scene.scene import Scene
 from app.settings import Options
 from app.view.inspector.compare import Comparison, Pose, Trials
 from app.view.inspector.region import Region, allowed_region

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.scene import Scene
+from app.scene.scene import Scene
 from app.view import palette
 from app.view.camera import DIRECTION, FIELD_OF_VIEW, View
 from app.view.fixture import FixtureDrawing

@@ -12,8 +12,8 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.messages import Telemetry
-from app.scene import Scene
+from app.control.messages import Telemetry
+from app.scene.scene import Scene
 from app.view import camera
 from app.view.feature import Stage
 from app.view.inspector import figures, words

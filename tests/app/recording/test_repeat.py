@@ -14,20 +14,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from forgery import forged, npy
-from runs import a_run
 
 import meshes
-from app import player, replay, table
-from app import scene as scenes
-from app.commands import replay as command
-from app.engine import Engine, Orders
-from app.messages import Command, LoopStats
+from app.commands import call
+from app.control.engine import Engine, Orders
+from app.control.messages import Command, LoopStats
+from app.recording import export, playback, rerun
 from app.recording.format import COMPARED, RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
+from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
+from tests.support.forgery import forged, npy
+from tests.support.runs import a_run
 
 CUBE = Options(mesh="cube", robot="point")
 
@@ -52,22 +52,22 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         drive(0.001, -0.01)
         session.record(path)
         drive(0.003, -0.05)
-        session.set_rule("paper")
+        session.set(rule="paper")
         ticks()
-        session.set_radius(None)
-        session.set_standoff(50e-6)
-        session.set_tip_radius(1e-4)
-        session.set_force_gain(80.0)
-        session.set_tip_speed(0.5)
-        session.set_scale(0.5)
-        session.set_orientation_lock(True)
+        session.set(radius=None)
+        session.set(standoff=50e-6)
+        session.set(tip_radius=1e-4)
+        session.set(force_gain=80.0)
+        session.set(tip_speed=0.5)
+        session.set(scale=0.5)
+        session.set(lock_orientation=True)
         drive(-0.004, -0.05)
         session.clutch(True)
         ticks()
         session.clutch(False)
         session.pause()
         session.single_step()
-        session.set_rule("certified")
+        session.set(rule="certified")
         session.resume()
         session.reset()
         drive(0.0, -0.05)
@@ -93,7 +93,7 @@ def test_a_session_is_repeated_to_the_last_bit(session_file: Path) -> None:
     assert recording.orders["resets"][-1] == 1
     assert recording.rows["planes"].max() > 0
     assert recording.state.tick > 0  # it began in the middle
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
 
 
 @pytest.mark.parametrize("field", COMPARED)
@@ -103,12 +103,12 @@ def test_one_changed_bit_is_found_and_named(sound: Path, field: str) -> None:
     at = 40
     if field == "order":
         rows[field][at] += 1
-        same = replay.compare(recording.rows, rows)
+        same = rerun.compare(recording.rows, rows)
     else:
         raw = rows[field][at : at + 1].copy()
         raw.view(np.uint8).reshape(-1)[0] ^= 1
         rows[field][at : at + 1] = raw
-        same = replay.first_difference(replace(recording, rows=rows))
+        same = rerun.first_difference(replace(recording, rows=rows))
     assert same is not None
     assert (same.row, same.field) == (at, field)
     assert f"{field} differs" in str(same)
@@ -118,7 +118,7 @@ def test_a_changed_command_shows_in_the_joints(sound: Path) -> None:
     recording = read(sound)
     orders = recording.orders.copy()
     orders["target"][1, 0] = np.nextafter(orders["target"][1, 0], 1.0)
-    found = replay.first_difference(replace(recording, orders=orders))
+    found = rerun.first_difference(replace(recording, orders=orders))
     assert found is not None
     assert found.tick == 4  # the first tick with that command
 
@@ -126,9 +126,9 @@ def test_a_changed_command_shows_in_the_joints(sound: Path) -> None:
 def test_the_command_line_checks_and_says_so(
     sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.main([str(sound), "--check"]) == 0
+    assert call("replay", [str(sound), "--check"]) == 0
     assert "the same to the last bit" in capsys.readouterr().out
-    assert command.main([str(sound)]) == 0
+    assert call("replay", [str(sound)]) == 0
     assert "not compared" in capsys.readouterr().out
 
     def other(header: dict[str, Any], members: dict[str, bytes]) -> None:
@@ -137,15 +137,15 @@ def test_the_command_line_checks_and_says_so(
         members["rows/00000/q.npy"] = npy(q)
 
     changed = forged(sound, tmp_path, other)
-    assert command.main([str(changed), "--check"]) == 1
+    assert call("replay", [str(changed), "--check"]) == 1
     assert "tick 21: q differs" in capsys.readouterr().out
-    assert command.main([str(tmp_path / "none"), "--check"]) == 2
+    assert call("replay", [str(tmp_path / "none"), "--check"]) == 2
     assert "none" in capsys.readouterr().err
 
 
 def test_csv_has_a_line_a_tick_and_its_units(sound: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.csv"
-    assert command.main([str(sound), "--csv", str(out)]) == 0
+    assert call("replay", [str(sound), "--csv", str(out)]) == 0
     with out.open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     recording = read(sound)
@@ -162,21 +162,21 @@ def test_csv_has_a_line_a_tick_and_its_units(sound: Path, tmp_path: Path) -> Non
     assert lines[0]["proxy x [m]"] == ""  # there was no target yet
     assert lines[30]["rule"] == "certified"
     with pytest.raises(RecordingError, match="exists already"):
-        table.write(recording, out)
+        export.write(recording, out)
 
 
 def test_a_mesh_that_has_changed_is_refused(sound: Path) -> None:
     recording = read(sound)
     with pytest.raises(RecordingError, match=r"not the one that was recorded: .* triangles"):
-        replay.first_difference(recording, mesh="stairs")
+        rerun.first_difference(recording, mesh="stairs")
     with pytest.raises(ValueError, match="no-such-mesh"):
-        replay.first_difference(recording, mesh="no-such-mesh")
+        rerun.first_difference(recording, mesh="no-such-mesh")
 
 
 def test_any_row_is_shown_as_it_was(session_file: Path) -> None:
     recording = read(session_file)
-    said = [telemetry for _, telemetry, _ in replay.rerun(recording)]
-    show = player.Player(recording, player.build_scenes(recording, 1))
+    said = [telemetry for _, telemetry, _ in rerun.rerun(recording)]
+    show = playback.Player(recording, playback.build_scenes(recording, 1))
     assert len(show) == len(said)
     rng = np.random.default_rng(3)
     turns = rng.integers(1, len(said), 60)
@@ -204,16 +204,16 @@ def test_any_row_is_shown_as_it_was(session_file: Path) -> None:
 def test_a_scene_like_the_present_one_is_not_built_again(sound: Path) -> None:
     recording = read(sound)
     present = scenes.build(CUBE, 7)
-    assert player.build_scenes(recording, 100, like=present) == (present,)
+    assert playback.build_scenes(recording, 100, like=present) == (present,)
     other = scenes.build(replace(CUBE, mesh="stairs"), 8)
-    (built,) = player.build_scenes(recording, 100, like=other)
+    (built,) = playback.build_scenes(recording, 100, like=other)
     assert built.version == 100
 
 
 def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [50.0]
-    monkeypatch.setattr(player.time, "monotonic", lambda: clock[0])
-    transport = player.Transport(np.arange(101) * 0.01)
+    monkeypatch.setattr(playback.time, "monotonic", lambda: clock[0])
+    transport = playback.Transport(np.arange(101) * 0.01)
     assert transport.row() == 0
     clock[0] += 5.0
     assert transport.row() == 0  # it rests until told to play
@@ -243,7 +243,7 @@ def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize("dt", [0.002, 0.001, 1 / 3000])
 def test_a_replay_seeks_to_the_row_whose_time_is_given_in_milliseconds(dt: float) -> None:
     times = np.arange(3000) * dt
-    transport = player.Transport(times)
+    transport = playback.Transport(times)
     for row in range(0, 3000, 7):
         transport.seek(round(float(times[row]), 3))
         assert abs(times[transport.row()] - times[row]) <= 0.5e-3
@@ -264,7 +264,7 @@ def test_one_order_that_counts_from_the_first_row_to_the_last_is_repeated(tmp_pa
     recorder.close()
     recording = read(recorder.path)
     assert recording.rows["order"].tolist() == [1] * 5
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
 
 
 @pytest.mark.parametrize("name", ["a\u200cb \u202e", "two\nlines", "\udce9t\udce9", "頭 {}[red]"])
@@ -278,10 +278,10 @@ def test_a_mesh_whose_file_is_called_anything_is_recorded_and_found_from_anywher
     a_run(tmp_path / "run.vfrec", replace(CUBE, mesh=str(path), unit="mm"), 5)
     monkeypatch.chdir("/")
     assert read(tmp_path / "run.vfrec").places[0].options.mesh == str(tmp_path / path)
-    assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 0
+    assert call("replay", [str(tmp_path / "run.vfrec"), "--check"]) == 0
     assert "the same to the last bit" in capsys.readouterr().out
     (tmp_path / path).rename(tmp_path / "moved.stl")
-    assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 2
+    assert call("replay", [str(tmp_path / "run.vfrec"), "--check"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
@@ -297,7 +297,7 @@ def test_a_mesh_whose_unit_was_guessed_when_it_was_recorded_is_found_by_its_chec
 
     old = read(forged(tmp_path / "run.vfrec", tmp_path, guessed, version=1))
     assert old.places[0].options.unit is None
-    assert replay.first_difference(old) is None
+    assert rerun.first_difference(old) is None
     trimesh.creation.box((3.0, 3.0, 2.1)).export(tmp_path / "box.stl")
     with pytest.raises(meshes.UnitNeeded):
-        replay.first_difference(old)
+        rerun.first_difference(old)

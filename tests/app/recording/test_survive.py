@@ -9,34 +9,34 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-import killed
 import numpy as np
 import pytest
 
-from app import replay
-from app.commands import replay as command
+from app.commands import call
+from app.recording import rerun
 from app.recording.format import RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
 from app.session import Session
 from app.settings import Options
+from tests.support import killed
+from tests.support.headless import wait_until
 
 CUBE = Options(mesh="cube", robot="point")
 ROOT = Path(__file__).parents[3]
-Wait = Callable[[Callable[[], bool]], None]
 
 
 @pytest.fixture(scope="module")
 def processes() -> Iterator[multiprocessing.context.ForkServerContext]:
     """Starts processes that have everything loaded already."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["prepared"])
+    context.set_forkserver_preload(["tests.support.prepared"])
     with pytest.MonkeyPatch.context() as patch:
         # What is to be loaded is looked for there; this process's own path is not handed on.
-        patch.setenv("PYTHONPATH", os.pathsep.join((str(Path(__file__).parent), str(ROOT))))
+        patch.setenv("PYTHONPATH", str(ROOT))
         yield context
     from multiprocessing import forkserver, resource_tracker
 
@@ -53,10 +53,7 @@ def said(folder: Path, stem: str = "run") -> int:
 
 @pytest.mark.parametrize("kills", [6, pytest.param(60, marks=pytest.mark.slow)])
 def test_a_recording_survives_a_kill_at_any_moment(
-    processes: multiprocessing.context.ForkServerContext,
-    tmp_path: Path,
-    wait_until: Wait,
-    kills: int,
+    processes: multiprocessing.context.ForkServerContext, tmp_path: Path, kills: int
 ) -> None:
     rng = np.random.default_rng()
     for k in range(kills):
@@ -77,7 +74,7 @@ def test_a_recording_survives_a_kill_at_any_moment(
         assert recording.cut.startswith(
             f"The recording was cut off: {len(recording.rows) * 1e-3:.2f} "
         )
-        assert replay.first_difference(recording) is None
+        assert rerun.first_difference(recording) is None
 
 
 def test_the_command_line_says_what_is_left_and_what_is_not(
@@ -87,18 +84,18 @@ def test_the_command_line_says_what_is_left_and_what_is_not(
     path.write_bytes(sound.read_bytes()[:-90])
     left = len(read(path).rows)
     assert 0 < left < len(read(sound).rows)
-    assert command.main([str(path), "--check"]) == 0
+    assert call("replay", [str(path), "--check"]) == 0
     out = capsys.readouterr().out
     assert f"The recording was cut off: {left * 1e-3:.2f} of at least" in out
     assert f"{left} ticks the same to the last bit as far as they are readable" in out
     csv = tmp_path / "cut.csv"
-    assert command.main([str(path), "--csv", str(csv)]) == 0
+    assert call("replay", [str(path), "--csv", str(csv)]) == 0
     assert "cut off" in capsys.readouterr().out
     assert len(csv.read_text().splitlines()) == 1 + left
 
 
 def test_a_second_session_with_this_name_takes_another_and_what_is_there_stays(
-    tmp_path: Path, wait_until: Wait
+    tmp_path: Path,
 ) -> None:
     remains = tmp_path / "run.vfrec"
     with Session(CUBE) as one, Session(CUBE) as two:
@@ -114,7 +111,7 @@ def test_a_second_session_with_this_name_takes_another_and_what_is_there_stays(
     before = remains.read_bytes()
     for path in (remains, tmp_path / "run-2.vfrec"):
         assert read(path).cut == ""
-        assert replay.first_difference(read(path)) is None
+        assert rerun.first_difference(read(path)) is None
     # Nor does a third one that begins and is cut off touch them.
     Recorder(remains).discard()
     assert remains.read_bytes() == before
@@ -158,9 +155,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(place)], check=True)
 
 
-def test_what_fits_is_kept_on_a_full_disk_and_the_loop_goes_on(
-    small_disk: Path, wait_until: Wait
-) -> None:
+def test_what_fits_is_kept_on_a_full_disk_and_the_loop_goes_on(small_disk: Path) -> None:
     with Session(CUBE) as session:
         (small_disk / "other").write_bytes(bytes(30_000))
         going = session.record(small_disk / "run.vfrec")
@@ -195,7 +190,7 @@ def kept(folder: Path, outcome: str, limit: int) -> None:
     assert "No space left" in outcome or "File too large" in outcome
     # There may have been no room for the end of it.
     assert "cut off" in recording.cut or (recording.note and recording.note in outcome)
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None
     assert path.stat().st_size > 0.2 * limit
 
 

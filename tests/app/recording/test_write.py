@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from app import replay, tape
+from app.recording import capture, rerun
 from app.recording.read import read
-from app.session import Refused, Session
+from app.refused import Refused
+from app.session import Session
 from app.settings import Options
+from tests.support.headless import wait_until
 
 CUBE = Options(mesh="cube", robot="point")
-Wait = Callable[[Callable[[], bool]], None]
 
 
 def test_the_file_holds_what_the_loop_said(tmp_path: Path, tapes: list) -> None:
@@ -54,7 +54,7 @@ def test_a_recording_that_cannot_begin_is_refused_with_the_reason(tmp_path: Path
         assert "Errno" not in str(caught.value)
 
 
-def test_one_recording_at_a_time(tmp_path: Path, wait_until: Wait) -> None:
+def test_one_recording_at_a_time(tmp_path: Path) -> None:
     with Session(CUBE) as session:
         going = session.record(tmp_path / "a.vfrec")
         with pytest.raises(Refused, match="under way"):
@@ -66,14 +66,14 @@ def test_one_recording_at_a_time(tmp_path: Path, wait_until: Wait) -> None:
         again = session.record(tmp_path / "b.vfrec")
         wait_until(lambda: again.rows > 0)
     assert {p.name for p in tmp_path.iterdir()} == {"a.vfrec", "b.vfrec"}
-    assert replay.first_difference(read(tmp_path / "b.vfrec")) is None
+    assert rerun.first_difference(read(tmp_path / "b.vfrec")) is None
 
 
 def test_a_writer_that_falls_behind_ends_the_recording_not_the_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Wait
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tape, "BEHIND", 5)
-    monkeypatch.setattr(tape, "PERIOD", 0.1)
+    monkeypatch.setattr(capture, "BEHIND", 5)
+    monkeypatch.setattr(capture, "PERIOD", 0.1)
     with Session(CUBE) as session:
         going = session.record(tmp_path / "a.vfrec")
         wait_until(lambda: not going.running)
@@ -83,4 +83,4 @@ def test_a_writer_that_falls_behind_ends_the_recording_not_the_loop(
     recording = read(tmp_path / "a.vfrec")
     assert len(recording.rows) >= 1
     assert "behind" in recording.note
-    assert replay.first_difference(recording) is None
+    assert rerun.first_difference(recording) is None

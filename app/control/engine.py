@@ -1,0 +1,302 @@
+"""One tick after the other, without thread or clock: what the loop runs and a replay repeats."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import vf
+from app.control.autopilot import Script
+from app.control.messages import Command, LoopStats, Telemetry
+from app.devices import protocols
+from app.devices.simulated import SimulatedArm
+from app.settings import Options
+from robots import Arm
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Everything a tick needs and no other thread touches; swapped as a whole between ticks.
+
+    Attributes:
+        arm: the arm's model; its Pinocchio buffers belong to the engine's thread from here on.
+        controller: built on that arm, warmed up.
+        q0: (n,) start configuration, its tip in free space.
+        surface: the anatomy, arm base frame.
+        clearance: distance from the surface at which the tip counts as free [m].
+        scene: version of the session's scene.
+        dt: length of a tick [s].
+        stale_after: a held drag without a newer command for this long holds the tool [s].
+        autopilot: the scripted proxy of this scene.
+        options: the settings it was made with.
+        scene_options: the settings its scene was built with, which may be older.
+    """
+
+    arm: Arm
+    controller: vf.Controller
+    q0: NDArray[np.float64]
+    surface: vf.Surface
+    clearance: float
+    scene: int
+    dt: float
+    stale_after: float
+    autopilot: Script
+    options: Options
+    scene_options: Options
+
+
+@dataclass(frozen=True)
+class Orders:
+    """All that the session wants of the engine, as one value, so no half of it is ever seen.
+
+    Single steps and resets are running totals: the engine compares them with what it has done,
+    and the latest value is all it needs to read. How the hand's motion becomes the command's
+    target (scale, lock_orientation) is not the engine's business: a record tells it.
+    """
+
+    plant: Plant
+    command: Command
+    paused: bool = False
+    steps: int = 0
+    resets: int = 0
+    autopilot: bool = False
+    scale: float = 1.0
+    lock_orientation: bool = False
+
+
+@dataclass(frozen=True)
+class State:
+    """What the engine carries from one tick to the next, besides the orders it saw last.
+
+    Attributes:
+        q: (n,) joints.
+        tick: number of the last tick.
+        steps: how many of the single steps ordered are done.
+        silent: ticks since the newest command arrived.
+        autopilot_since: tick at which the autopilot took over; None: it does not drive.
+        target: the proxy of the last tick.
+        stale: whether the last tick held for want of a newer command.
+        step: what the controller did last.
+    """
+
+    q: NDArray[np.float64]
+    tick: int
+    steps: int
+    silent: int
+    autopilot_since: int | None
+    target: pin.SE3 | None
+    stale: bool
+    step: vf.Step | None = None
+
+
+def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) -> bool:
+    """Whether a tip at p_base (3,) is outside the anatomy and farther than clearance [m]."""
+    if surface.nearest(p_base)[0] <= clearance:
+        return False
+    return not (surface.closed and surface.inside(p_base))
+
+
+class Engine:
+    """The state between ticks: joints, tick count, and what was seen of the orders."""
+
+    def __init__(
+        self, orders: Orders, state: State | None = None, arm: protocols.Arm | None = None
+    ) -> None:
+        """Start at the plant's start, or go on from a state whose last orders these were.
+
+        Args:
+            arm: what is measured before each tick and moved by it; None: a simulated one.
+        """
+        self.seen = orders  # the newest that were looked at
+        self._plant = orders.plant
+        self._q = _frozen(orders.plant.q0 if state is None else state.q)
+        self._arm = SimulatedArm(self._q) if arm is None else arm
+        self._steps = orders.steps
+        self._resets = orders.resets
+        self._tick = 0
+        self._sequence = orders.command.sequence
+        self._silent = 0  # ticks since the newest command arrived
+        self._autopilot_since: int | None = None
+        self._step: vf.Step | None = None
+        self._target: pin.SE3 | None = None
+        self._stale = False
+        self._failed = False
+        self._known = True  # where the arm is
+        self._origin: pin.SE3 | None = None  # where the last tick began
+        self.failures = 0  # ticks whose controller raised: held, and counted as HELD
+        if state is not None:
+            self._tick = state.tick
+            self._steps = state.steps
+            self._silent = state.silent
+            self._autopilot_since = state.autopilot_since
+            self._target = state.target
+            self._stale = state.stale
+            self._step = state.step
+        self._tip: pin.SE3 = self._plant.arm.tip(self._q)
+
+    @property
+    def state(self) -> State:
+        """Where it stands now; only for the thread that ticks it."""
+        return State(
+            q=self._q,
+            tick=self._tick,
+            steps=self._steps,
+            silent=self._silent,
+            autopilot_since=self._autopilot_since,
+            target=self._target,
+            stale=self._stale,
+            step=self._step,
+        )
+
+    def advance(self, orders: Orders, stats: LoopStats) -> tuple[Telemetry, bool]:
+        """Do the next tick, or none while paused; returns what there is to see, and if it ticked.
+
+        Never raises in use: a controller that does (it must not) leaves the tool where it was.
+        """
+        self.seen = orders
+        moved = self._adopt(orders)
+        self._measure()
+        ticks = True
+        if orders.paused:
+            ticks = self._steps < orders.steps
+            self._steps += ticks
+        else:
+            self._steps = orders.steps
+        if not orders.autopilot:
+            self._autopilot_since = None
+        command = orders.command
+        if command.sequence != self._sequence:
+            self._sequence = command.sequence
+            self._silent = 0
+        elif ticks:
+            # Counted in ticks, not read from a clock, so that a replay goes stale as the run did.
+            self._silent += 1
+        if ticks:
+            self._run(orders)
+        elif moved:
+            self._target = None
+            self._hold()  # paused: show the planes of the new plant, move nothing
+        return self.look(orders, stats), ticks
+
+    def look(self, orders: Orders, stats: LoopStats) -> Telemetry:
+        """What there is to see right now."""
+        return Telemetry(
+            tick=self._tick,
+            time=self._tick * self._plant.dt,
+            q=self._q,
+            target=self._target,
+            step=self._step,
+            stats=stats,
+            scene=self._plant.scene,
+            sequence=self._sequence,
+            paused=orders.paused,
+            autopilot=orders.autopilot,
+            stale=self._stale,
+            origin=self._origin,
+        )
+
+    def _adopt(self, orders: Orders) -> bool:
+        """Take over a new plant or a reset between two ticks; returns whether there was one."""
+        new, old = orders.plant, self._plant
+        if new is old and orders.resets == self._resets:
+            return False
+        if orders.resets != self._resets:
+            self._resets = orders.resets
+            self._go(_frozen(new.q0))
+            self._autopilot_since = None
+        elif new.scene != old.scene:
+            self._measure()
+            stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
+            if not stays or not is_free(
+                new.surface, new.arm.tip(self._q).translation, new.clearance
+            ):
+                self._go(_frozen(new.q0))
+            self._autopilot_since = None
+        self._plant = new
+        self._tip = new.arm.tip(self._q)
+        self._failed = False
+        return True
+
+    def _measure(self) -> None:
+        """Learn where the arm is; where that is not known the last joints stay."""
+        q = self._arm.measured()
+        self._known = q is not None and q.shape == self._q.shape
+        if self._known and q is not self._q:
+            assert q is not None
+            self._q = _frozen(q)
+            self._tip = self._plant.arm.tip(self._q)
+
+    def _go(self, q: NDArray[np.float64]) -> None:
+        self._q = q
+        self._arm.servo(q)
+
+    def _run(self, orders: Orders) -> None:
+        plant, command = self._plant, orders.command
+        self._stale = False
+        if orders.autopilot:
+            if self._autopilot_since is None:
+                self._autopilot_since = self._tick
+            self._target = plant.autopilot.pose((self._tick - self._autopilot_since) * plant.dt)
+        else:
+            self._stale = command.held and self._silent * plant.dt > plant.stale_after
+            self._target = None if command.clutch or self._stale else command.target
+        self._tick += 1
+        self._origin = self._tip
+        if self._target is None or not self._known:
+            self._hold()
+            return
+        try:
+            step = plant.controller.step(self._q, self._target)
+        except Exception:
+            self._fail()
+            return
+        self._go(_frozen(step.q))
+        self._step = step
+        self._tip = step.tip
+
+    def _hold(self) -> None:
+        """Look, but do not move: planes and distance at the tip, zero force, the same joints."""
+        plant = self._plant
+        try:
+            tip = plant.arm.tip(self._q)
+            step = plant.controller.step(self._q, tip)
+        except Exception:
+            self._fail()
+            return
+        # The recovery from below the standoff must not move a tool that is told to hold.
+        self._step = replace(
+            step,
+            q=self._q,
+            tip=tip,
+            force=_frozen(np.zeros(3)),
+            status=step.status if self._known and not self._stale else vf.Status.HELD,
+        )
+
+    def _fail(self) -> None:
+        self.failures += 1
+        if not self._failed:
+            self._failed = True
+            log.exception("the controller raised; the tool holds (further ones are only counted)")
+        if self._step is not None and self._step.q.shape == self._q.shape:
+            self._step = replace(
+                self._step,
+                q=self._q,
+                tip=self._plant.arm.tip(self._q),
+                force=_frozen(np.zeros(3)),
+                status=vf.Status.HELD,
+            )
+        else:
+            self._step = None
+
+
+def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    if array.flags.writeable:
+        array = np.array(array, dtype=float)
+        array.flags.writeable = False
+    return array

@@ -1,0 +1,284 @@
+"""The control thread: ticks at absolute deadlines, counts what it misses, never catches up."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import vf
+from app.control.engine import Engine, Orders
+from app.control.mailbox import Mailbox
+from app.control.messages import LoopStats, Telemetry
+from app.recording.capture import Tape
+
+log = logging.getLogger(__name__)
+
+SUMMARIES = 4  # of the statistics, per second
+# A thread that wants the interpreter waits this long before it asks the owner to let go [s]. At its
+# wake-up the control thread waits a few of those, as the page's threads ask too: beside a browser
+# on the same two cores 99.97 % of ticks were less than 1 ms late at 20 µs, 99.93 % at 50 µs, 99.2 %
+# at 100 µs and 98.5 % at 200 µs.
+SWITCH_INTERVAL = 2e-5
+# But every such wait has a price, 20 to 60 µs of a core on a virtual machine. There the threads
+# that wait in real time (three, when the fourth has the interpreter) leave nothing to the one they
+# wait for, and everything stands still. So a wait takes at least this many times its price, divided
+# by the number of cores: on two, three who wait take one and a half.
+THRIFT = 4.0
+LONGEST_INTERVAL = 2e-4  # [s], and no longer than this
+# Wake-ups are some 50 µs late, so the last stretch before a deadline is spent asking the clock;
+# other threads still get the interpreter within the switch interval [s].
+SPIN = 1e-4
+# Real-time priorities, where they may be had.
+CONTROL_PRIORITY = 10
+VIEW_PRIORITY = 5
+
+
+class ControlLoop:
+    """Runs an `Engine` in its own thread: orders come from one mailbox, telemetry goes to another.
+
+    A tick that ends after the next deadline is an overrun; the next deadline is then counted
+    from that moment, so time lost is lost and never made up by faster ticks.
+    """
+
+    def __init__(
+        self,
+        orders: Mailbox[Orders],
+        telemetry: Mailbox[Telemetry],
+        dt: float,
+        watch: Callable[[Orders, Telemetry, bool], None] | None = None,
+    ) -> None:
+        """Nothing runs yet. `watch` hears of every tick like a tape, as long as the loop lives."""
+        first = orders.get()
+        if first is None:
+            raise ValueError("the loop needs orders to start from")
+        self._orders = orders
+        self._telemetry = telemetry
+        self._dt = dt
+        self._watch = watch
+        self._engine = Engine(first)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="control")
+        self._clock = _Clock(dt)
+        self.tape: Tape | None = None  # hears of every tick; replaced by any thread
+        telemetry.put(self._engine.look(first, self._clock.stats))
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Start the thread; it ticks until `close`."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop and wait for the thread. Safe to call twice, or before `start`."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        _ask_for_punctuality()
+        with _quiet_interpreter():
+            try:
+                self._loop()
+            except Exception:
+                # Not the tick (its errors end in HELD) but this loop itself.
+                log.exception("the control thread stopped")
+                raise
+
+    def _loop(self) -> None:
+        engine, clock, dt = self._engine, self._clock, self._dt
+        now = time.perf_counter
+        spin = min(SPIN, 0.1 * dt)
+        deadline = now() + dt
+        while not self._stop.is_set():
+            pause = deadline - spin - now()
+            if pause > 0.0:
+                time.sleep(pause)
+            started = now()
+            while started < deadline:
+                started = now()
+            orders = self._orders.get()
+            assert orders is not None
+            tape = self.tape
+            if tape is not None and not tape.begun:
+                tape.begin(engine.seen, engine.state)
+            telemetry, ticked = engine.advance(orders, clock.stats)
+            self._telemetry.put(telemetry)
+            if tape is not None:
+                tape.take(orders, telemetry, ticked)
+            if self._watch is not None:
+                self._watch(orders, telemetry, ticked)
+            ended = now()
+            late = deadline + dt
+            if ticked:
+                status = telemetry.step.status if telemetry.step else vf.Status.HELD
+                clock.record(status, started, started - deadline, ended - started, ended > late)
+            else:
+                clock.skip(started)
+            deadline = late if ended <= late else ended
+            if ended > late:
+                time.sleep(0)  # let others have the interpreter even when every tick is late
+
+
+class _Clock:
+    """Timing of the last second in preallocated rings; a summary a few times a second."""
+
+    def __init__(self, dt: float) -> None:
+        size = max(10, round(1.0 / dt))
+        self.stats = LoopStats()
+        self._spent = np.zeros(size)  # [s]
+        self._late = np.zeros(size)  # [s]
+        self._starts = np.zeros(size)  # [s]
+        self._filled = 0
+        self._next = 0
+        self._overruns = 0
+        self._counts = dict.fromkeys(vf.Status, 0)
+        self._due = 0.0
+        self._idle = False
+
+    def record(
+        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
+    ) -> None:
+        """Note one tick; times in seconds of the monotonic clock."""
+        if self._idle:
+            # What was measured before a pause says nothing about the rate after it.
+            self._idle = False
+            self._filled = self._next = 0
+        k = self._next
+        self._spent[k], self._late[k], self._starts[k] = spent, late, started
+        self._next = (k + 1) % len(self._spent)
+        self._filled = min(self._filled + 1, len(self._spent))
+        self._overruns += overrun
+        self._counts[status] += 1
+        if started >= self._due:
+            self._due = started + 1.0 / SUMMARIES
+            self._summarise()
+
+    def skip(self, started: float) -> None:
+        """Note a period without a tick (paused)."""
+        if not self._idle or started >= self._due:
+            self._idle = True
+            self._due = started + 1.0 / SUMMARIES
+            self._summarise()
+
+    def _summarise(self) -> None:
+        n = self._filled
+        if n == 0:
+            self.stats = LoopStats(overruns=self._overruns, counts=dict(self._counts))
+            return
+        spent, late = self._spent[:n], self._late[:n]
+        newest = self._starts[self._next - 1]
+        oldest = self._starts[self._next % n]
+        k = int(0.99 * (n - 1))
+        self.stats = LoopStats(
+            rate=float((n - 1) / (newest - oldest)) if newest > oldest else 0.0,
+            tick_median=float(np.partition(spent, n // 2)[n // 2]),
+            tick_worst=float(spent.max()),
+            late_p99=float(np.partition(late, k)[k]),
+            late_worst=float(late.max()),
+            overruns=self._overruns,
+            counts=dict(self._counts),
+        )
+
+
+class _quiet_interpreter(contextlib.ContextDecorator):
+    """Keeps Python's own housekeeping out of the ticks while a control loop runs."""
+
+    _lock = threading.Lock()
+    _users = 0
+    _interval = 5e-3
+
+    def __enter__(self) -> None:
+        cls = _quiet_interpreter
+        with cls._lock:
+            cls._users += 1
+            if cls._users == 1:
+                cls._interval = sys.getswitchinterval()
+                sys.setswitchinterval(_switch_interval(_price_of_waiting()))
+                # A full collection walks every object of numba, viser and Pinocchio with the
+                # interpreter held, for tens of milliseconds, whichever thread sets it off. Frozen
+                # objects are not walked; new garbage is still collected, so nothing piles up.
+                gc.collect()
+                gc.freeze()
+
+    def __exit__(self, *error: object) -> None:
+        cls = _quiet_interpreter
+        with cls._lock:
+            cls._users -= 1
+            if cls._users == 0:
+                gc.unfreeze()
+                sys.setswitchinterval(cls._interval)
+
+
+def _price_of_waiting() -> float:
+    """Processor time of a wait that is given up after `SWITCH_INTERVAL` [s]."""
+    lock = threading.Lock()
+    lock.acquire()
+    spent = []
+    for _ in range(5):
+        began = time.thread_time()
+        for _ in range(10):
+            lock.acquire(timeout=SWITCH_INTERVAL)
+        spent.append((time.thread_time() - began) / 10)
+    return min(spent)  # what disturbed the others is not its price
+
+
+def _switch_interval(price: float, cores: int | None = None) -> float:
+    """How long a thread waits for the interpreter before it asks for it, by the price of that."""
+    share = THRIFT / (cores or os.cpu_count() or 1)
+    return min(max(SWITCH_INTERVAL, share * price), LONGEST_INTERVAL)
+
+
+def prefer_this_process() -> None:
+    """Put this process before others that want the same cores, where the system permits it.
+
+    Call it before other threads are started: they inherit it. The control thread's own priority is
+    not enough. It waits for whoever holds the interpreter, and a thread of ours that was put aside
+    for a browser's drawing holds it for as long as that takes.
+    """
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, -10)
+
+
+def _ask_for_punctuality() -> None:
+    """Ask Linux for this thread's precise and preferred wake-ups; do without where it refuses.
+
+    The timer's slack is 50 µs by default. Real-time scheduling (or else a better priority, both per
+    thread on Linux) needs a privilege that desktop users seldom have; it keeps the load of other
+    programs, a browser drawing in software above all, out of the ticks. The loop sleeps nine tenths
+    of its time, and the kernel bounds what a real-time thread may take.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    PR_SET_TIMERSLACK = 29
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1000), 0, 0, 0)
+    prefer_this_thread(CONTROL_PRIORITY)
+
+
+def prefer_this_thread(priority: int) -> None:
+    """Schedule the calling thread in real time where the system permits it, else put it first.
+
+    Threads and processes that it starts do not inherit that.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    thread = threading.get_native_id()
+    try:
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, thread, -10)

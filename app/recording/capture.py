@@ -1,0 +1,142 @@
+"""Records a running loop without holding it up: the loop appends, another thread writes."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import threading
+from collections import deque
+from pathlib import Path
+
+from app.control.engine import Orders, State
+from app.control.messages import Telemetry
+from app.recording.format import RecordingError
+from app.recording.write import Recorder
+
+log = logging.getLogger(__name__)
+
+PERIOD = 0.05  # between two rounds of the writing thread [s]
+BEHIND = 20_000  # ticks that may wait to be written
+
+
+class Tape:
+    """One recording under way.
+
+    The control thread calls `begin` once and `take` after each tick: a look at a length and an
+    append. The writing thread puts everything into the file every `PERIOD`, where it is readable
+    even if this process is killed. If it falls behind by `BEHIND` ticks, or the disk is full, the
+    recording ends there, with the reason in `note` and, where there is room, in the file; the loop
+    goes on.
+
+    Attributes:
+        path: of the file; not the one asked for if that was there.
+        asked: the path that was asked for.
+        begun: whether `begin` was called.
+        note: why the recording ended, if it was not told to.
+        rows: how many ticks are in the file.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Make the file and start the writing thread.
+
+        Raises:
+            OSError: it cannot be made.
+        """
+        self._recorder = Recorder(path)
+        self.path, self.asked = self._recorder.path, Path(path)
+        self.begun = False
+        self.note = ""
+        self.rows = 0
+        self._queue: deque[tuple[Orders, Telemetry, bool] | tuple[Orders, State]] = deque()
+        self._lost = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tape", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether ticks are still taken or written."""
+        return self._thread.is_alive()
+
+    @property
+    def outcome(self) -> str:
+        """A sentence on what came of it."""
+        if not self.rows:
+            return f"Nothing was recorded{': ' + self.note if self.note else ''}."
+        ending = f"; it ended because {self.note}" if self.note else ""
+        return f"Recorded {self.rows:,} {_ticks(self.rows)} to {self.path}{ending}.{self.elsewhere}"
+
+    @property
+    def elsewhere(self) -> str:
+        """A sentence on why the file has another name than was asked for; empty: it has not."""
+        return f" ({self.asked.name} was there already.)" if self.path != self.asked else ""
+
+    def begin(self, seen: Orders, state: State) -> None:
+        """From the control thread: what the ticks to come start from."""
+        self._queue.append((seen, state))
+        self.begun = True
+
+    def take(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
+        """From the control thread, after every advance of the engine. Never waits, never raises."""
+        if not ticked and orders is self._newest:
+            return  # paused: nothing happened
+        self._newest = orders
+        if len(self._queue) < BEHIND and not self._lost:
+            self._queue.append((orders, telemetry, ticked))
+        else:
+            self._lost = True
+
+    _newest: Orders | None = None
+
+    def finish(self) -> None:
+        """Write what is still waiting and wait for the file. Safe to call twice."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        recorder = self._recorder
+        try:
+            while not self._stop.wait(PERIOD) and not self._lost:
+                self._drain()
+            self._drain()
+            if self._lost:
+                self.note = f"the writing fell {BEHIND:,} ticks behind"
+        except (RecordingError, OSError) as error:
+            self.note = _reason(error)
+        except Exception as error:
+            log.exception("the recording failed")
+            self.note = f"of an error of this program ({error!r})"
+        self._lost = True  # nothing is taken any more
+        self._queue.clear()
+        try:
+            if recorder.rows:
+                recorder.close(self.note)
+        except (RecordingError, OSError) as error:
+            self.note = self.note or _reason(error)
+        self.rows = recorder.kept
+        if not self.rows:
+            recorder.discard()
+        if self.note:
+            log.warning("%s", self.outcome)
+
+    def _drain(self) -> None:
+        queue, recorder = self._queue, self._recorder
+        for _ in range(len(queue)):
+            item = queue.popleft()
+            if len(item) == 2:
+                recorder.begin(*item)
+            else:
+                recorder.add(*item)
+        recorder.flush()
+        self.rows = recorder.kept
+
+
+def _reason(error: Exception) -> str:
+    if not isinstance(error, OSError):
+        return str(error)
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return f"{'the disk is full' if full else 'the file cannot be written'} ({error.strerror})"
+
+
+def _ticks(n: int) -> str:
+    return "tick" if n == 1 else "ticks"

@@ -1,0 +1,195 @@
+"""Any row of a recording as the telemetry it was, for a picture: planes are computed again."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import robots
+import vf
+from app.control.engine import Plant
+from app.control.messages import LoopStats, Telemetry
+from app.recording import rerun
+from app.recording.format import Recording
+from app.recording.write import as_json
+from app.scene import scene as scenes
+from app.scene import worker
+from app.scene.scene import Progress, Scene
+from app.settings import Options
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What there was to see after a row of a recording."""
+
+    scene: Scene
+    options: Options
+    telemetry: Telemetry
+    clutched: bool
+
+
+def build_scenes(
+    recording: Recording,
+    version: int,
+    like: Scene | None = None,
+    progress: Progress | None = None,
+    stop: worker.Stop | None = None,
+) -> tuple[Scene, ...]:
+    """A recording's scenes, numbered from `version`; one that is just like `like` is that one.
+
+    They are built without a pause for any other thread, see `worker`.
+
+    Args:
+        progress: called with a few words before each step.
+        stop: stops it.
+
+    Raises:
+        ValueError: what `rerun.build`, `worker.Ended` and `worker.Stopped` raise.
+    """
+    built = []
+    for k, place in enumerate(recording.places):
+        same = (
+            like is not None
+            and as_json(place.options) == as_json(like.options)
+            and place.checksum == like.surface.checksum
+            and place.start.tobytes() == like.start.tobytes()
+        )
+        if same:
+            assert like is not None
+            built.append(like)
+        else:
+            work = functools.partial(rerun.build, place, version + k, warm=False)
+            arm = robots.load(place.options.robot)
+            built.append(worker.aside(work, place.options.mesh, arm, progress, stop))
+    return tuple(built)
+
+
+class Player:
+    """Shows rows of a recording in any order. Not thread-safe (it owns a controller)."""
+
+    def __init__(self, recording: Recording, built: Sequence[Scene]) -> None:
+        """`built` are the scenes of the recording, in its order."""
+        self.recording = recording
+        self._scenes = tuple(built)
+        self._index = -1
+        self._plant: Plant | None = None
+
+    def __len__(self) -> int:
+        return len(self.recording.rows)
+
+    def moment(self, row: int) -> Moment:
+        """What there was after row 0 … len − 1: numbers as recorded, planes computed again."""
+        recording = self.recording
+        noted = recording.rows[row]
+        order = recording.orders[noted["order"]]
+        place, options = recording.plants[order["plant"]]
+        scene = self._scenes[place]
+        if self._plant is None or self._index != order["plant"]:
+            self._index = int(order["plant"])
+            self._plant = scenes.plant(scene, options)
+        q = recording.joints(row)
+        target = None
+        if noted["driven"]:
+            # The autopilot keeps the orientation of the start.
+            by_hand = order["driven"] and not order["autopilot"]
+            turn = order["rotation"] if by_hand else scene.T_base_start.rotation
+            target = pin.SE3(turn, noted["target"])
+        step = self._step(row, q, target) if noted["stepped"] else None
+        telemetry = Telemetry(
+            tick=int(noted["tick"]),
+            time=float(noted["tick"]) * recording.dt,
+            q=q,
+            target=target,
+            step=step,
+            stats=LoopStats(),
+            scene=scene.version,
+            sequence=int(order["sequence"]),
+            paused=bool(order["paused"]),
+            autopilot=bool(order["autopilot"]),
+            stale=bool(noted["stale"]),
+        )
+        seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
+        return Moment(scene, seen, telemetry, bool(order["clutch"]))
+
+    def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
+        """The step of a row, from the joints before it."""
+        assert self._plant is not None
+        arm, controller = self._plant.arm, self._plant.controller
+        noted = self.recording.rows[row]
+        before = self._before(row, q)
+        step = controller.step(before, arm.tip(before) if target is None else target)
+        return replace(
+            step,
+            q=q,
+            tip=arm.tip(q),
+            force=noted["force"].copy(),
+            status=vf.Status(int(noted["status"])),
+            distance=float(noted["distance"]),
+        )
+
+    def _before(self, row: int, q: np.ndarray) -> np.ndarray:
+        """Joints the tick of a row began with; after a reset or a change of scene, those of it."""
+        rows, orders = self.recording.rows, self.recording.orders
+        now = orders[rows["order"][row]]
+        then = orders[rows["order"][row - 1] if row else 0]
+        plants = self.recording.plants
+        moved = (
+            now["resets"] != then["resets"] or plants[now["plant"]][0] != plants[then["plant"]][0]
+        )
+        return q if moved else self.recording.joints(row - 1)
+
+
+class Transport:
+    """Where a replay stands: a row that moves on with time, or rests. Any thread may write."""
+
+    def __init__(self, times: NDArray[np.float64]) -> None:
+        """Times (n,) of the rows, not falling [s]."""
+        self._times = times
+        self._began = time.monotonic()
+        self._from = float(times[0])
+        self.speed = 1.0
+        self.playing = False
+
+    def row(self) -> int:
+        """The row that is due now; the last one for good once it is reached."""
+        due = self._due()
+        if self.playing and due >= self._times[-1]:
+            self.seek(due)
+        return int(np.clip(np.searchsorted(self._times, due, "right") - 1, 0, len(self._times) - 1))
+
+    def play(self, on: bool) -> None:
+        """Go on from here, at the end from the beginning; or stop."""
+        due = self._due()
+        if on and due >= self._times[-1]:
+            due = float(self._times[0])
+        self._from, self._began, self.playing = due, time.monotonic(), on
+
+    def pace(self, speed: float) -> None:
+        """Seconds of the recording per second."""
+        self._from, self._began = self._due(), time.monotonic()
+        self.speed = speed
+
+    def move(self, moments: int) -> None:
+        """Rest so many moments further on, or back; rows of the same time are one."""
+        times = np.unique(self._times)
+        now = np.searchsorted(times, self._times[self.row()])
+        self.playing = False
+        self._from = float(times[np.clip(now + moments, 0, len(times) - 1)])
+
+    def seek(self, at: float) -> None:
+        """Rest at the row nearest to a time [s]: whoever asks has rounded it."""
+        self.playing = False
+        times = self._times
+        after = min(int(np.searchsorted(times, at)), len(times) - 1)
+        before = max(after - 1, 0)
+        self._from = float(times[after if times[after] - at <= at - times[before] else before])
+
+    def _due(self) -> float:
+        gone = (time.monotonic() - self._began) * self.speed if self.playing else 0.0
+        return self._from + gone

@@ -1,0 +1,246 @@
+"""Runs without thread and clock: the same commands give the same joints, bit for bit."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import meshes
+from app.control.engine import Engine, Orders, Plant
+from app.control.messages import Command, LoopStats, Telemetry
+from app.files import shown
+from app.recording.format import CHUNK, COMPARED, ROWS, Place, Recording, RecordingError
+from app.recording.rows import command as command_of
+from app.recording.rows import fill
+from app.scene import scene as scenes
+from app.scene.scene import Progress, Scene
+from app.settings import Options
+
+
+def run_headless(
+    options: Options,
+    commands: Iterable[Command | None],
+    ticks: int,
+    autopilot: bool = False,
+) -> list[Telemetry]:
+    """Tick a fresh scene and controller `ticks` times.
+
+    Args:
+        options: as of a session (host and port are not used).
+        commands: the command that is in the mailbox at each tick; None, and the end of the
+            commands, mean nothing new: the last one goes on (and a held one goes stale).
+        ticks: how many.
+        autopilot: let the scripted hand drive; commands are then ignored.
+
+    Returns:
+        One telemetry a tick, without timing.
+
+    Raises:
+        ValueError: unknown names or an unusable mesh.
+    """
+    scene = scenes.build(options, 1)
+    stats = LoopStats()
+    orders = Orders(scenes.plant(scene, options), Command(None, 0), autopilot=autopilot)
+    engine = Engine(orders)
+    incoming = iter(commands)
+    seen = []
+    for _ in range(ticks):
+        command = next(incoming, None)
+        if command is not None:
+            orders = Orders(orders.plant, command, autopilot=autopilot)
+        seen.append(engine.advance(orders, stats)[0])
+    return seen
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where a repetition first departs from its recording: row, tick, column of `ROWS`."""
+
+    row: int
+    tick: int
+    field: str
+    recorded: str
+    repeated: str
+
+    def __str__(self) -> str:
+        return (
+            f"tick {self.tick}: {self.field} differs: "
+            f"recorded {self.recorded}, repeated {self.repeated}"
+        )
+
+
+def rerun(
+    recording: Recording,
+    mesh: str | None = None,
+    path: str | None = None,
+    progress: Progress | None = None,
+) -> Iterator[tuple[int, Telemetry, bool]]:
+    """Give a fresh engine the recorded orders, each for as many ticks as it counted.
+
+    Args:
+        mesh: where the mesh is now; None: where the recording says (all scenes of it).
+        path: likewise, the planned path.
+        progress: called with a few words before each step of building a scene.
+
+    Yields:
+        For each row of the recording the row of its orders, the telemetry, and whether it ticked.
+
+    Raises:
+        RecordingError: a mesh is not the one that was recorded.
+        ValueError: a mesh is not usable.
+    """
+    stats = LoopStats()
+    order, index, place = -1, -1, -1
+    scene: Scene | None = None
+    plant = None
+    engine: Engine | None = None
+    # The first orders are those that the engine had seen already when the recording began.
+    for row in range(-1, len(recording.rows)):
+        due = 0 if row < 0 else int(recording.rows["order"][row])
+        if due != order:
+            order = due
+            noted = recording.orders[order]
+            if noted["plant"] != index:
+                index = int(noted["plant"])
+                where, options = recording.plants[index]
+                if where != place or scene is None:
+                    place = where
+                    scene = build(recording.places[where], where + 1, mesh, path, progress)
+                course = recording.courses[index]
+                room = scene if course is None else replace(scene, autopilot=course)
+                plant = scenes.plant(room, options)
+            assert plant is not None
+            orders = orders_of(noted, plant)
+        if engine is None:
+            engine = Engine(orders, recording.state)
+            continue
+        yield order, *engine.advance(orders, stats)
+
+
+def orders_of(noted: np.void, plant: Plant) -> Orders:
+    """The orders of a row of `ORDERS`."""
+    return Orders(
+        plant=plant,
+        command=command_of(noted),
+        paused=bool(noted["paused"]),
+        steps=int(noted["steps"]),
+        resets=int(noted["resets"]),
+        autopilot=bool(noted["autopilot"]),
+        scale=float(noted["scale"]),
+        lock_orientation=bool(noted["lock"]),
+    )
+
+
+def build(
+    noted: Place,
+    version: int,
+    mesh: str | None = None,
+    path: str | None = None,
+    progress: Progress | None = None,
+    warm: bool = True,
+) -> Scene:
+    """A scene of a recording, made anew and compared with what was recorded of it.
+
+    Args:
+        mesh, path: where mesh and planned path are now; None: where the recording says.
+        warm: as in `scene.build`.
+
+    Raises:
+        RecordingError: the mesh is another one now, or ends up elsewhere.
+        ValueError: it is not usable, or unknown names.
+    """
+    options = noted.options
+    options = replace(options, mesh=mesh or options.mesh, path=path or options.path)
+    try:
+        scene = scenes.build(options, version, progress, warm)
+    except meshes.UnitNeeded:
+        # Recorded when units were guessed: the checksum knows which it was.
+        found = _in_some_unit(options, noted.checksum, version, progress, warm)
+        if found is None:
+            raise
+        scene = found
+    surface = scene.surface
+    if surface.checksum != noted.checksum:
+        raise RecordingError(
+            f"the mesh '{shown(options.mesh)}' is not the one that was recorded: "
+            f"{len(surface.faces):,} triangles, recorded {noted.triangles:,}; SHA-256 "
+            f"{surface.checksum[:12]}…, recorded {noted.checksum[:12]}…"
+        )
+    if scene.start.tobytes() != noted.start.tobytes():
+        raise RecordingError(
+            f"the tool starts elsewhere over '{shown(options.mesh)}' than was recorded"
+        )
+    return scene
+
+
+def _in_some_unit(
+    options: Options, checksum: str, version: int, progress: Progress | None, warm: bool
+) -> Scene | None:
+    """The scene of this mesh, in the unit that gives this checksum; None: none does."""
+    for unit in ("mm", "m"):
+        with contextlib.suppress(ValueError):
+            scene = scenes.build(replace(options, unit=unit), version, progress, warm)
+            if scene.surface.checksum == checksum:
+                return scene
+    return None
+
+
+def first_difference(
+    recording: Recording,
+    mesh: str | None = None,
+    path: str | None = None,
+    progress: Progress | None = None,
+    repeated: Callable[[int], None] = lambda _rows: None,
+) -> Difference | None:
+    """Re-run a recording and compare every column of `COMPARED` bit for bit.
+
+    Args and errors are those of `rerun`. None: there is no difference.
+
+    Args:
+        repeated: called with the number of rows that are the same so far.
+    """
+    table = np.zeros(CHUNK, dtype=ROWS)
+    before = None
+    filled = start = 0
+    for order, telemetry, ticked in rerun(recording, mesh, path, progress):
+        fill(table, filled, order, telemetry, ticked, before)
+        before = telemetry.step
+        filled += 1
+        if filled == len(table) or start + filled == len(recording.rows):
+            found = compare(recording.rows[start : start + filled], table[:filled])
+            if found is not None:
+                return replace(found, row=start + found.row)
+            start, filled = start + filled, 0
+            repeated(start)
+    return None
+
+
+def compare(recorded: np.ndarray, repeated: np.ndarray) -> Difference | None:
+    """The first difference between two tables (n,) of `ROWS`, in the columns' order."""
+    first: tuple[int, str] | None = None
+    for name in COMPARED:
+        ours, theirs = (
+            np.ascontiguousarray(table[name]).view(np.uint8).reshape(len(table), -1)
+            for table in (recorded, repeated)
+        )
+        rows = np.flatnonzero((ours != theirs).any(axis=1))
+        if len(rows) and (first is None or rows[0] < first[0]):
+            first = int(rows[0]), name
+    if first is None:
+        return None
+    row, name = first
+    return Difference(
+        row=row,
+        tick=int(recorded["tick"][row]),
+        field=name,
+        recorded=_text(recorded[name][row]),
+        repeated=_text(repeated[name][row]),
+    )
+
+
+def _text(value: np.ndarray) -> str:
+    """All digits: a difference may be in the last bit."""
+    return str(np.asarray(value).tolist())

@@ -1,0 +1,251 @@
+"""A set-up to come back to or to share: scene, settings, proxy and view, as a small JSON file.
+
+The file's words are the command line's: ``"radius": "5mm"`` means what ``--radius 5mm`` does. A
+file of this format version is read back exactly as it was written.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from app.choices import FROM_PACKAGES, MESHES
+from app.kinds import Kind, Maybe, Switch, Text
+from app.options import Checked, declared, option
+from app.scenarios.values import (
+    CAMERAS,
+    Camera,
+    Quaternion,
+    ScenarioError,
+    Viewpoint,
+    Waypoint,
+    Waypoints,
+    shown,
+    taken,
+)
+from app.settings import Options
+
+FORMAT = 1
+SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
+SETTINGS = {name: told.kind for name, told in declared(Options).items() if told.shared}
+"""The options that belong to a scenario; they stand in its file beside what is in `Scenario`."""
+
+
+@dataclass(frozen=True)
+class Scenario(Checked):
+    """Everything that makes a set-up.
+
+    Attributes:
+        name: short, for a list.
+        about: the sentence that says what one sees.
+        options: the settings; only those that belong to a scenario (`SETTINGS`) count.
+        proxy: none: it stays on the tool; one at time 0: it starts there; else a script that leads
+            it from one to the next, each from rest to rest, and ends at the last. A script whose
+            first time is later begins on the tool.
+        wxyz: orientation of the proxy in the mesh's frame, a unit quaternion; None: the tool's own
+            at its start.
+        camera: where to look from, one of `CAMERAS` or a place; None: as a new scene is seen.
+        paused: whether the loop waits for *Run*.
+
+    Raises:
+        ScenarioError: a text too long or not of one line, waypoints out of order or too many or too
+            far, no unit quaternion, an unknown camera.
+    """
+
+    name: str = option(Text(60))
+    about: str = option(Text(300))
+    options: Options = option(Kind(), Options())
+    proxy: tuple[Waypoint, ...] = option(Waypoints(), ())
+    wxyz: tuple[float, float, float, float] | None = option(Maybe(Quaternion()), None)
+    camera: str | Viewpoint | None = option(Maybe(Camera("camera", CAMERAS)), None)
+    paused: bool = option(Switch(), False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # One value, one scenario: what is of the server and not of the scenario is left out.
+        object.__setattr__(self, "options", self.applied(Options()))
+
+    def applied(self, options: Options) -> Options:
+        """These options, but what belongs to a scenario as this one has it."""
+        return replace(options, **{key: getattr(self.options, key) for key in SETTINGS})
+
+
+_OWN = {name: told.kind for name, told in declared(Scenario).items() if name != "options"}
+_KEYS = {"name": _OWN["name"], "about": _OWN["about"], **SETTINGS, **_OWN}
+"""The keys of a file besides its format, in their order."""
+
+
+def loads(
+    text: str | bytes, folder: Path | None = None, find: Callable[[str], str | None] | None = None
+) -> Scenario:
+    """A scenario from the JSON text of a file.
+
+    Args:
+        folder: where the file is; the files it names must be there or below. None: it must not
+            name any.
+        find: finds a file by its name alone, in place of a folder; None: there is none.
+
+    Raises:
+        OptionError: not JSON, too long, an unknown format version, key or value, a file that is
+            elsewhere; one line.
+    """
+    if len(text) > SIZE_LIMIT:
+        raise ScenarioError(f"{len(text):,} bytes are more than a scenario has ({SIZE_LIMIT:,})")
+    try:
+        content = json.loads(
+            text, object_pairs_hook=_without_twins, parse_constant=_refuse_constant
+        )
+    except ScenarioError:
+        raise
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise ScenarioError(f"this is not JSON ({reason})") from None
+    if not isinstance(content, dict):
+        raise ScenarioError(f"a scenario is a JSON object {{…}}, not {shown(content)}")
+    version = content.get("format")
+    if type(version) is not int or version != FORMAT:
+        said = "it has none" if version is None else f"not {shown(version)}"
+        raise ScenarioError(f'"format" must be {FORMAT}, the version of scenarios: {said}')
+    for key in content:
+        if key not in _KEYS and key != "format":
+            known = ", ".join(("format", *_KEYS))
+            raise ScenarioError(f"unknown key {shown(key)}: choose from {known}")
+    for key in ("name", "about"):
+        if key not in content:
+            raise ScenarioError(f'"{key}" is missing')
+    wanted = {key: taken(key, kind, content[key]) for key, kind in _KEYS.items() if key in content}
+    options = Options(**{key: wanted.pop(key) for key in SETTINGS if key in wanted})
+    scenario = Scenario(**wanted, options=options)
+    return _placed(scenario, folder, find)
+
+
+def dumps(scenario: Scenario, folder: Path | None = None) -> str:
+    """The JSON text of a file, which `loads` reads back exactly.
+
+    Args:
+        folder: where the file is going to be; paths are written relative to it. None: the name
+            alone, for a file that is to lie beside the mesh.
+
+    Raises:
+        ScenarioError: a file in it is neither in the folder nor below it.
+    """
+    content: dict[str, Any] = {"format": FORMAT}
+    for key, kind in _KEYS.items():
+        value = getattr(scenario.options if key in SETTINGS else scenario, key)
+        if key in _FILES and value is not None and _is_file(value):
+            value = Path(value).name if folder is None else _relative(key, Path(value), folder)
+        content[key] = kind.to_json(value)
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read(path: Path) -> Scenario:
+    """The scenario in a file.
+
+    Raises:
+        ScenarioError: unreadable, or not what `loads` takes; one line with the file's name.
+    """
+    try:
+        with path.open("rb") as file:
+            text = file.read(SIZE_LIMIT + 1)
+        return loads(text, path.parent)
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+
+
+def write(scenario: Scenario, path: Path) -> None:
+    """Put a scenario into a file; paths in it are relative to the file's folder.
+
+    Raises:
+        ScenarioError: a file in it is neither in that folder nor below it.
+        OSError: it cannot be written.
+    """
+    path.write_text(dumps(scenario, path.parent), encoding="utf-8")
+
+
+_FILES = ("mesh", "path")
+
+
+def _is_file(name: str) -> bool:
+    """A mesh file has a suffix; a name of the catalogue has none, nor a folder before it."""
+    return Path(name).suffix != "" or len(Path(name).parts) > 1
+
+
+def _placed(
+    scenario: Scenario, folder: Path | None, find: Callable[[str], str | None] | None
+) -> Scenario:
+    """The same, with the files it names found in its folder and no other, or by their names."""
+    found: dict[str, Any] = {}
+    for key in _FILES:
+        name = getattr(scenario.options, key)
+        if name is None:
+            continue
+        if key == "path" or _is_file(name):
+            if find is not None and not Path(name).is_absolute():
+                found[key] = find(name)
+                if found[key] is None:
+                    raise ScenarioError(f'"{key}": {shown(name)} is not known here: bring it first')
+                continue
+            if folder is None and find is None:
+                raise ScenarioError(
+                    f'"{key}": {shown(name)}: there is no file to find this one from'
+                )
+            found[key] = _beside(key, name, folder or Path())
+        elif name not in MESHES and name not in FROM_PACKAGES:
+            raise ScenarioError(
+                f'"{key}": unknown mesh {shown(name)}: choose one of '
+                f"{', '.join((*MESHES, *FROM_PACKAGES))}, or a file beside the scenario"
+            )
+    return replace(scenario, options=replace(scenario.options, **found)) if found else scenario
+
+
+def _beside(key: str, name: str, folder: Path) -> str:
+    """The path of a file in the folder or below it.
+
+    Whoever opens a scenario of somebody else's need not read it first: it leads to no other file.
+    """
+    path = Path(name)
+    try:
+        inside = (
+            not path.is_absolute()
+            and ".." not in path.parts
+            and (folder / path).resolve().is_relative_to(folder.resolve())
+        )
+    except (OSError, RuntimeError):  # a name too long, links in a circle
+        inside = False
+    if not inside:
+        raise ScenarioError(
+            f'"{key}": {shown(name)}: write the path of a file in the scenario\'s own '
+            "folder or below it, relative to it; it may not lead out, by .. or a link"
+        )
+    return os.path.normpath(folder / path)
+
+
+def _relative(key: str, path: Path, folder: Path) -> str:
+    name = os.path.relpath(path, folder)
+    try:
+        _beside(key, name, folder)
+    except ScenarioError:
+        raise ScenarioError(
+            f'"{key}": {path} is not in {folder} or below: keep scenario and file in one folder'
+        ) from None
+    return name
+
+
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Of the readers of JSON here only this hook tells a key that is there twice."""
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        keys = [key for key, _ in pairs]
+        twin = next(key for key in keys if keys.count(key) > 1)
+        raise ScenarioError(f"the key {shown(twin)} is there twice")
+    return content
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ScenarioError(f"{name} is not a usable number")

@@ -1,0 +1,116 @@
+"""The scenarios that come with the sandbox, by name, each with the sentence that it shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+from app.scenarios.file import Scenario, ScenarioError, Waypoint, read
+from app.settings import Options
+
+
+def find(name_or_path: str) -> Scenario:
+    """A preset by its name, or the scenario in a file.
+
+    Raises:
+        ScenarioError: neither; one line that lists the presets, or says what is wrong in the file.
+    """
+    if name_or_path in PRESETS:
+        return PRESETS[name_or_path]
+    path = Path(name_or_path)
+    if path.suffix == "" and len(path.parts) <= 1:
+        raise ScenarioError(
+            f"unknown scenario '{name_or_path}': choose one of {', '.join(PRESETS)}, "
+            "or a file such as ./mine.json"
+        )
+    return read(path)
+
+
+def _at(time: float, x: float, y: float, z: float) -> Waypoint:
+    return Waypoint(time, (x * 1e-3, y * 1e-3, z * 1e-3))  # [mm] -> [m]
+
+
+def _round(time: float, radius: float, degrees: float, z: float) -> Waypoint:
+    angle = math.radians(degrees)
+    return _at(time, radius * math.cos(angle), radius * math.sin(angle), z)
+
+
+_PUSH = Scenario(
+    "push-on-the-skull",
+    "The proxy is pushed into the bone: the tool stops at its standoff, 20 µm above it, and the "
+    "hand would feel 1.4 N.",
+    Options(mesh="skull"),
+    (_at(1.5, 20, -10, 68), _at(3.0, 17, -8.5, 48)),
+)
+_ORBIT = Scenario(
+    "slide-into-the-orbit",
+    "Pressed on the brow and drawn down, the tool slides over the rim into the hollow of the "
+    "orbit, and along its wall to the bottom.",
+    Options(mesh="skull", up="y"),
+    (_at(1.5, 24, 70, 4), _at(2.5, 24, 58, 4), _at(5.0, 20.5, 41, -16.4)),
+    camera="follow",
+)
+_PLATE = Scenario(
+    "thin-plate-both-sides",
+    "A plate of 0.5 mm, far thinner than the motion sphere: the tool is held on one side of it, "
+    "goes over its edge, and is held on the other side.",
+    # Standing, and seen along its edge, so that both sides are in sight.
+    Options(
+        mesh="thin-plate", robot="point", rotate=(0.0, math.radians(90.0), math.radians(-41.6))
+    ),
+    (
+        _at(1.5, -42, 0, 6),
+        _at(2.5, -42, 0, -8),
+        _at(3.5, -60, 0, -8),
+        _at(4.5, -42, 0, -8),
+        _at(5.5, -42, 0, 8),
+    ),
+)
+_GEAR = Scenario(
+    "valley-of-the-gear",
+    "Pressed into the gap between two teeth of a gear, the tool rests in a valley, on a plane of "
+    "the paper’s Condition 3.",
+    Options(mesh="gear", rule="paper"),
+    (
+        _round(1.5, 47, 10, 12),
+        _round(2.2, 47, 10, 0),
+        _round(3.2, 33, 10, 0),
+        _round(4.2, 26, 4, 0),
+    ),
+    camera="follow",
+)
+_SADDLE = Scenario(
+    "saddle",
+    "On a saddle, bent up one way and down the other, planes of ridges (Condition 2) and of "
+    "valleys (Condition 3) stand around the tool.",
+    Options(mesh="saddle-slab", rule="paper", radius=1e-3),
+    (_at(1.5, -8, -8, 14), _at(2.5, -8, -8, 3), _at(4.5, 0, 0, 3)),
+    camera="follow",
+)
+_UNCLEAN = Scenario(
+    "unclean-mesh-paper",
+    "Triangles that do not quite meet, as from a poor export: at such a seam the paper’s rule "
+    "lets the tool through the bone.",
+    Options(mesh="skull-coarse", damage="jittered", rule="paper"),
+    (_at(1.5, 20, -30, 68), _at(2.5, 20, -30, 50), _at(5.5, 20, 10, 50)),
+)
+_HELD = replace(
+    _UNCLEAN,
+    name="unclean-mesh-certified",
+    about="The same unclean mesh and the same hand: the certified rule asks for no neighbours, "
+    "and the tool stays outside.",
+    options=replace(_UNCLEAN.options, rule="certified"),
+)
+_MILLION = Scenario(
+    "million-triangles",
+    "A skull of 936 thousand triangles, every one of them in force: the tool slides over it as "
+    "over a coarse one.",
+    Options(mesh="skull-fine"),
+    (_at(1.5, 25, -20, 68), _at(2.5, 22, -20, 54), _at(5.0, 22, 15, 54)),
+)
+
+_ALL = (_PUSH, _ORBIT, _PLATE, _GEAR, _SADDLE, _UNCLEAN, _HELD, _MILLION)
+PRESETS: Mapping[str, Scenario] = MappingProxyType({one.name: one for one in _ALL})

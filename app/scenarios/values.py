@@ -1,0 +1,153 @@
+"""The values of a scenario's file that are no options: how each is checked, read and written."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from app import kinds
+from app.kinds import Kind, Number, OneOf, Place
+from app.options import Checked, option
+from app.words import OptionError
+
+LONGEST = 600.0  # [s] a script goes on
+FARTHEST_EYE = 20.0  # [m] of a camera from the mesh's origin
+NEAREST_EYE = 1e-4  # [m] of a camera from what it looks at
+CAMERAS = ("arm", "anatomy", "site", "tool", "follow", "surgeon")
+MOST_WAYPOINTS = 200
+
+Vector = tuple[float, float, float]
+_PLACE = Place()
+_NUMBER = Number(-math.inf, math.inf)
+
+
+class ScenarioError(OptionError):
+    """A scenario is not usable. The message is one line that names the value and what is valid."""
+
+
+@dataclass(frozen=True)
+class Waypoint(Checked):
+    """Where the proxy rests for a moment: time since the start [s], place (3,) [m], mesh frame.
+
+    Raises:
+        OptionError: a time or a place out of range.
+    """
+
+    time: float = option(Number(0.0, LONGEST, "s"))
+    at: Vector = option(_PLACE)
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """Eye and what it looks at, (3,) each [m], mesh frame; up is the arm's base's.
+
+    Raises:
+        ScenarioError: a place too far from the mesh, or both in one place.
+    """
+
+    eye: Vector
+    look_at: Vector
+
+    def __post_init__(self) -> None:
+        for name in ("eye", "look_at"):
+            place = getattr(self, name)
+            if not math.hypot(*place) <= FARTHEST_EYE:
+                raise ScenarioError(
+                    f"the camera's {name} at {_PLACE.format(place)} is more than "
+                    f"{FARTHEST_EYE:g} m from the mesh's origin"
+                )
+        if not math.dist(self.eye, self.look_at) >= NEAREST_EYE:
+            raise ScenarioError(
+                f"the camera's eye must be {NEAREST_EYE * 1e3:g} mm or more from what it looks "
+                f"at, not at {_PLACE.format(self.eye)}"
+            )
+
+
+class Waypoints(Kind):
+    """Waypoints in the order of their times, not too many."""
+
+    wanted, json = 'a list of {"time": seconds, "at": "x,y,z"}', (list,)
+
+    def check(self, name: str, value: tuple[Waypoint, ...]) -> None:
+        if len(value) > MOST_WAYPOINTS:
+            raise ScenarioError(
+                f"{name} has {len(value)} waypoints: at most {MOST_WAYPOINTS} are allowed"
+            )
+        for before, after in pairwise(value):
+            if not before.time < after.time:
+                raise ScenarioError(
+                    f"{name}: a waypoint's time {after.time:g} s must be after the one before "
+                    f"({before.time:g} s)"
+                )
+
+    def from_json(self, value: Any) -> tuple[Waypoint, ...]:
+        found = []
+        for item in super().from_json(value):
+            if not isinstance(item, dict) or set(item) != {"time", "at"}:
+                raise ScenarioError('has a waypoint that is not {"time": seconds, "at": "x,y,z"}')
+            at = _PLACE.from_json(item["at"])
+            found.append(Waypoint(_NUMBER.from_json(item["time"]), at))
+        return tuple(found)
+
+    def to_json(self, value: tuple[Waypoint, ...]) -> Any:
+        return [{"time": one.time, "at": _PLACE.to_json(one.at)} for one in value]
+
+
+class Quaternion(Kind):
+    """Four numbers w, x, y, z of length 1."""
+
+    wanted, json = "four numbers w, x, y, z", (list,)
+
+    def check(self, name: str, value: Any) -> None:
+        if not abs(math.hypot(*value) - 1.0) < 1e-3:
+            raise ScenarioError(
+                f"{name} must be a unit quaternion such as [1, 0, 0, 0], not "
+                f"{kinds.shown(list(value))}"
+            )
+
+    def from_json(self, value: Any) -> tuple[float, ...]:
+        if len(super().from_json(value)) != 4:
+            raise ScenarioError(f"must be {self.wanted}")
+        return tuple(map(_NUMBER.from_json, value))
+
+    def to_json(self, value: Any) -> Any:
+        return list(value)
+
+
+class Camera(OneOf):
+    """One of `CAMERAS`, or a place to look from, which has limits of its own."""
+
+    json = (str, dict)
+
+    def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, Viewpoint):
+            super().check(name, value)
+
+    def from_json(self, value: Any) -> str | Viewpoint:
+        if isinstance(value, str):
+            return value
+        if set(value) != {"eye", "look_at"}:
+            raise ScenarioError('must be a name or {"eye": "x,y,z", "look_at": "x,y,z"}')
+        return Viewpoint(**{key: _PLACE.from_json(place) for key, place in value.items()})
+
+    def to_json(self, value: str | Viewpoint) -> Any:
+        if isinstance(value, str):
+            return value
+        return {"eye": _PLACE.to_json(value.eye), "look_at": _PLACE.to_json(value.look_at)}
+
+
+def taken(key: str, kind: Kind, value: Any) -> Any:
+    """A value read from JSON; what is wrong with it is said with its key."""
+    try:
+        return kind.from_json(value)
+    except (OptionError, OverflowError) as error:
+        raise ScenarioError(f'"{key}": {shown(value)}: {error}') from None
+
+
+def shown(value: Any) -> str:
+    """A value in an error's line: short, and of one line whatever it is."""
+    text = json.dumps(value, ensure_ascii=True)
+    return text if len(text) <= 60 else f"{text[:57]}…"

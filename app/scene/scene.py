@@ -1,0 +1,307 @@
+"""What stands in the room: an arm and a mesh placed in front of it, ready to be used."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import meshes
+import robots
+import vf
+from app.control.autopilot import Script, plan
+from app.control.engine import Plant, is_free
+from app.judges import meeting
+from app.scene.outside import shows_fronts_only
+from app.settings import Options
+from meshes.builtin.damage import damage
+from robots import Arm
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+DEFAULT_WIDTH = 1e-3  # of a corridor, as in the paper's experiments [m]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The anatomy and the arm, as the view needs them; never changed once made.
+
+    Attributes:
+        version: grows with every change of mesh or robot; `Telemetry.scene` refers to it.
+        mesh_name: catalogue name, or the file's name.
+        surface: the full mesh the control works on, arm base frame.
+        T_base_mesh: (4, 4) pose of the mesh's own frame in the arm's base frame.
+        planned_path: (k, 3) the planned cut on this mesh, arm base frame [m]; None: there is none.
+        vertices_shown, faces_shown: what to draw: the mesh, or a decimated copy of it.
+        decimated: whether what is drawn is a decimated copy.
+        fronts_only: whether nobody outside ever sees the back of what is drawn.
+        robot: name of the arm.
+        arm: an arm for the view's thread alone (the controller has its own).
+        notes: what the user should know about this mesh, one sentence each.
+        start: (n,) joints the tool starts from and is reset to, its tip in free space.
+        T_base_start: the tip at `start`.
+        autopilot: the scripted tour over this mesh.
+        options: the settings it was built with.
+    """
+
+    version: int
+    mesh_name: str
+    surface: vf.Surface
+    T_base_mesh: FloatArray
+    planned_path: FloatArray | None
+    vertices_shown: FloatArray
+    faces_shown: NDArray[np.int64]
+    decimated: bool
+    fronts_only: bool
+    robot: str
+    arm: Arm
+    notes: tuple[str, ...]
+    start: FloatArray
+    T_base_start: pin.SE3
+    autopilot: Script
+    options: Options
+
+
+def build(
+    options: Options, version: int, progress: Progress | None = None, warm: bool = True
+) -> Scene:
+    """Load arm and mesh, place the mesh under the tool, index it, find a free start.
+
+    Takes up to some seconds for large meshes; touches nothing that runs.
+
+    Args:
+        progress: called with a few words before each step.
+        warm: whether to make the kernels of a tick ready too.
+
+    Raises:
+        ValueError: unknown robot, unusable mesh (`meshes.MeshError`) or no free spot for the
+            tool; the message gives the reason and the valid choices.
+    """
+    say = progress or (lambda _text: None)
+    say(f"loading the robot {options.robot}")
+    arm = robots.load(options.robot)
+    T_base_tip = arm.tip(arm.neutral)
+
+    vertices, faces, T_base_mesh, notes = anatomy(options, T_base_tip, say)
+
+    if warm:
+        say("preparing the kernels (the first start compiles them: up to a minute)")
+        warm_up()
+    say(f"building the tree of {len(faces):,} triangles")
+    surface = vf.Surface.from_arrays(vertices, faces)
+    if not surface.closed:
+        notes.append(
+            "The mesh is not closed or not consistently wound: "
+            "it has no inside, so it is guarded from both sides."
+        )
+
+    path = _planned_path(options, T_base_mesh)
+    if path is not None:
+        corridor(surface, path, options.corridor or DEFAULT_WIDTH)  # refused now rather than later
+    elif options.corridor is not None:
+        notes.append("No path is planned on this mesh: there is no corridor.")
+
+    say("preparing the picture")
+    shown, faces_shown, decimated = meshes.display(vertices, faces)
+    if decimated:
+        notes.append(
+            f"Shown with {len(faces_shown):,} triangles; "
+            f"the control uses all {len(faces):,} of them."
+        )
+
+    say("finding a free start for the tool")
+    start = free_start(arm, surface, clearance(options))
+    T_base_start = arm.tip(start)
+    return Scene(
+        version=version,
+        mesh_name=Path(options.mesh).name,
+        surface=surface,
+        T_base_mesh=_read_only(T_base_mesh),
+        planned_path=path,
+        vertices_shown=_read_only(shown),
+        faces_shown=_read_only(faces_shown),
+        decimated=decimated,
+        fronts_only=shows_fronts_only(shown, faces_shown),
+        robot=arm.name,
+        arm=arm,
+        notes=tuple(notes),
+        start=_read_only(start),
+        T_base_start=T_base_start,
+        autopilot=plan(surface, T_base_start),
+        options=options,
+    )
+
+
+def anatomy(
+    options: Options, T_base_tip: pin.SE3, progress: Progress
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str]]:
+    """The mesh as these options want it: loaded, damaged, repaired, placed once, in that order.
+
+    Returns:
+        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), and what
+        the user should know, a sentence each.
+
+    Raises:
+        ValueError: unusable mesh or placement, with the reason.
+    """
+    with caught_warnings() as caught:
+        found = meshes.read(options.mesh, unit=options.unit, frame=options.frame, progress=progress)
+    mesh = found.arrays
+    notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
+    notes += found.notes
+    if options.mesh not in meshes.catalogue():
+        notes.append(f"Patient frame: {meshes.told(found.frame)}.")
+    if options.damage != "none":
+        mesh = damage(options.damage, mesh, options.seed)
+        notes.append(f"Damaged on purpose: {options.damage}, seed {options.seed}.")
+    if options.repair or options.flip:
+        progress("repairing the mesh")
+        mended = meshes.repair(*mesh, flip=options.flip)
+        if not len(mended.faces):
+            raise meshes.MeshError(f"{options.mesh}: no face has any area, nothing is left of it")
+        mesh = mended.arrays
+        done, left = mended.changes.lines(), mended.changes.left
+        notes.append(
+            "Repaired: " + ("; ".join(done) if done else "there was nothing to mend") + "."
+        )
+        if left:
+            notes.append("Left as it is: " + "; ".join(left) + ".")
+    vertices, faces = mesh
+    placement = meshes.Placement(options.at, options.rotate, options.up)
+    T_base_mesh = placement.pose(vertices, T_base_tip)
+    return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes
+
+
+def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | None:
+    """The path given by the user or known to the catalogue, arm base frame [m]."""
+    if options.path is not None:
+        path = meshes.read_path(options.path)
+    else:
+        entry = meshes.catalogue().get(options.mesh)
+        if entry is None or entry.path is None:
+            return None
+        path = entry.path()
+    return _read_only(meshes.transformed(T_base_mesh, path))
+
+
+def corridor(surface: vf.Surface, path: FloatArray, width: float) -> vf.CorridorFixture:
+    """The corridor of this width [m] along a path (k, 3) planned on a surface, as a cut into it."""
+    below = [surface.nearest(p)[1] for p in path]
+    return vf.CorridorFixture(path, vf.cutting_direction(path, surface.normals[below]), width)
+
+
+def plant(scene: Scene, options: Options) -> Plant:
+    """A controller for this scene with these settings, ready to tick (takes milliseconds)."""
+    arm = scene.arm.copy()
+    fixtures: list[vf.Fixture] = [
+        vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
+    ]
+    if options.corridor is not None and scene.planned_path is not None:
+        fixtures.append(corridor(scene.surface, scene.planned_path, options.corridor))
+    settings = vf.Settings(
+        dt=options.dt,
+        standoff=options.standoff,
+        tip_radius=options.tip_radius,
+        force_gain=options.force_gain,
+        tip_speed=options.tip_speed,
+    )
+    controller = vf.Controller(arm, fixtures, settings)
+    # The solver's workspace is set up by the first tick: not one of the loop's.
+    controller.step(scene.start, scene.T_base_start)
+    return Plant(
+        arm=arm,
+        controller=controller,
+        q0=scene.start,
+        surface=scene.surface,
+        clearance=clearance(options),
+        scene=scene.version,
+        dt=options.dt,
+        stale_after=options.stale_after,
+        autopilot=scene.autopilot,
+        options=options,
+        scene_options=scene.options,
+    )
+
+
+@cache
+def warm_up() -> None:
+    """Have every kernel of a tick compiled, or loaded from disk; once in a process."""
+    vf.Controller(robots.load("point"), []).warm_up()
+    meeting.warm_up()
+
+
+def clearance(options: Options) -> float:
+    """Distance from the surface beyond which a tip is in free space [m]."""
+    return options.standoff + options.tip_radius
+
+
+def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:
+    """Joints (n,) whose tip is outside the anatomy and clear of it: the neutral ones if they are.
+
+    Otherwise ever larger displacements upwards and sideways are tried.
+
+    Raises:
+        ValueError: there is no such spot within the arm's reach.
+    """
+    neutral = arm.tip(arm.neutral)
+    q = np.array(arm.neutral)
+    if is_free(surface, neutral.translation, clearance):
+        return q
+    for displacement in _displacements(surface.size):
+        pose = pin.SE3(neutral.rotation, neutral.translation + displacement)
+        if not is_free(surface, pose.translation, clearance):
+            continue
+        try:
+            q = arm.inverse(pose, start=arm.neutral)
+        except robots.Unreachable:
+            continue
+        # An arm may meet the pose only nearly, or ignore its rotation: ask where the tip really is.
+        if is_free(surface, arm.tip(q).translation, clearance):
+            return np.array(q)
+    raise ValueError(
+        f"no free spot for the tool of {arm.name}: the mesh fills its workspace "
+        f"(size {surface.size * 1e3:.0f} mm; is the unit right?)"
+    )
+
+
+def _displacements(size: float) -> Iterator[FloatArray]:
+    sideways = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(8) * np.pi / 4]
+    up = np.array([0.0, 0.0, 1.0])
+    directions = [up, *(d + up for d in sideways), *sideways, *(d - up for d in sideways), -up]
+    for distance in np.geomspace(1e-3, max(2.0 * size, 2e-3), 24):
+        for direction in directions:
+            yield distance * direction / np.linalg.norm(direction)
+
+
+class caught_warnings:
+    """Collects warnings. Python's own collector is not thread-safe, so one thread at a time."""
+
+    _lock = threading.Lock()
+
+    def __enter__(self) -> list[warnings.WarningMessage]:
+        self._lock.acquire()
+        self._catcher = warnings.catch_warnings(record=True)
+        caught = self._catcher.__enter__()
+        warnings.simplefilter("always", UserWarning)
+        return caught
+
+    def __exit__(self, *error: Any) -> None:
+        try:
+            self._catcher.__exit__(*error)
+        finally:
+            self._lock.release()
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array = np.array(array)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,385 @@
+"""Scenes built, and files read, in a process of their own that cannot hold up or end this one.
+
+Readers, Boolean operations and decimation keep Python's interpreter to themselves for as long as
+they work, up to a second for a million triangles; in this process that would be as long a pause of
+the tool. The finished scene comes back through a pipe: its arrays are read straight into place,
+which lets other threads run all the while.
+
+A small file can ask for any amount of work. So the process has an allowance of processor time and
+of memory that its file's size justifies, is the first that the system ends when memory runs out,
+and can be stopped.
+
+Run as a module, this file is that process: it reads a request from standard input and answers on
+standard output with frames, each a pickle and the arrays that belong to it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+import meshes
+from app.scene import scene as scenes
+from app.scene.scene import Progress, Scene
+from app.settings import Options
+from meshes.builtin import shapes
+from robots import Arm
+
+LIGHT = 500_000  # [byte] of a file that is read and indexed in milliseconds
+_LIGHT_KINDS = (".stl", ".ply", ".off")  # that cannot be larger than they look
+_PIPE = 1 << 20  # [byte]
+_LENGTH = 8  # [byte] of a number in the stream
+_PATIENCE = 10.0  # of the processor's time: for a busy machine, and for what waits for ever
+
+
+class Ended(ValueError):
+    """The process ended without an answer; the message says how."""
+
+
+class Stopped(ValueError):
+    """The process was stopped by the one it worked for."""
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What a process may use: ``seconds`` of processor time, ``memory`` [byte] for its work."""
+
+    seconds: float
+    memory: float
+
+
+def allowance(mesh: str) -> Allowance:
+    """Enough for any mesh file of its size, or for any mesh of the catalogue, several times over.
+
+    Never more memory than three quarters of what the machine has to spare.
+    """
+    known = mesh in meshes.catalogue()
+    try:
+        size = 0 if known else Path(mesh).stat().st_size
+    except (OSError, ValueError):
+        size = 0  # to be refused with the reason
+    seconds = 300.0 if known else 60.0 + 2e-6 * size
+    return Allowance(seconds, min(3e9 + 20.0 * size, 0.75 * _spare()))
+
+
+class Stop:
+    """Ends a process, now or as soon as it starts. Any thread may call it, any number of times."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self.asked = False
+
+    def __call__(self) -> None:
+        with self._lock:
+            self.asked = True
+            if self._process is not None:
+                self._process.kill()
+
+    def watch(self, process: subprocess.Popen[bytes]) -> None:
+        """The process that is to end, which nobody has waited for yet."""
+        with self._lock:
+            self._process = process
+            if self.asked:
+                process.kill()
+
+    def forget(self) -> None:
+        """Before the process is waited for: its number may soon be another's."""
+        with self._lock:
+            self._process = None
+
+
+def build(
+    options: Options,
+    version: int,
+    arm: Arm,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
+) -> Scene:
+    """`scene.build` without a pause for any other thread; light meshes are made right here.
+
+    Args:
+        arm: the scene's arm, for the view's thread; of the name in `options`.
+        progress: called with a few words before each step.
+        stop: stops it.
+
+    Raises:
+        ValueError: what `scene.build` raises, `Ended` and `Stopped`.
+    """
+    work = functools.partial(scenes.build, options, version, warm=False)
+    return aside(work, options.mesh, arm, progress, stop)
+
+
+def aside(
+    work: Callable[..., Scene],
+    mesh: str,
+    arm: Arm,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
+) -> Scene:
+    """The scene that ``work(progress=…)`` builds around a mesh, by `run`, or here if it is light.
+
+    Raises:
+        ValueError: what the work raises, `Ended` and `Stopped`.
+    """
+    if light(mesh):
+        return work(progress=progress)
+    scene: Scene = run(work, allowance(mesh), progress, stop, arm)
+    return scene
+
+
+def run(
+    work: Callable[..., Any],
+    allowed: Allowance,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
+    arm: Arm | None = None,
+) -> Any:
+    """What ``work(progress=…)`` returns, done in a process of its own.
+
+    Args:
+        work: a function of a module, or a `functools.partial` of one.
+        progress: called with a few words before each step.
+        stop: stops it.
+        arm: takes the place of every arm in what comes back.
+
+    Raises:
+        Ended: it used more than it was allowed, or died.
+        Stopped: `stop` was called.
+        Exception: what the work raised, as a ValueError if it cannot be sent.
+    """
+    say = progress or (lambda _text: None)
+    stop = stop or Stop()
+    say("starting a process for the mesh")
+    # Not in the terminal's process group: an interrupt is for the session, which ends this process.
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app.scene.worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    stop.watch(process)
+    late = Stop()
+    late.watch(process)
+    timer = threading.Timer(_PATIENCE * allowed.seconds, late)
+    timer.daemon = True
+    timer.start()
+    try:
+        with contextlib.suppress(OSError, AttributeError):
+            fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, _PIPE)
+        with contextlib.suppress(BrokenPipeError):
+            pickle.dump((work, allowed), process.stdin)
+            process.stdin.close()
+        while True:
+            kind, content = _receive(process.stdout, arm)
+            if kind == "say":
+                say(content)
+            elif kind == "failed":
+                raise content
+            else:
+                return content
+    except EOFError:
+        stop.forget()
+        late.forget()
+        code = process.wait()
+        if stop.asked:
+            raise Stopped("stopped: nothing is changed") from None
+        raise Ended(_reason(code, allowed, late.asked)) from None
+    finally:
+        timer.cancel()
+        stop.forget()
+        late.forget()
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def _reason(code: int, allowed: Allowance, late: bool) -> str:
+    """Why the process ended without an answer."""
+    if late:
+        return (
+            f"the work on the mesh was not done after {_PATIENCE * allowed.seconds:.0f} s: "
+            "is the machine busy, or the file on a drive that does not answer?"
+        )
+    if code == -signal.SIGXCPU:
+        return (
+            f"the work on the mesh took more than {allowed.seconds:.0f} s of processor time, many "
+            "times what a mesh file of this size needs: is it what it says it is?"
+        )
+    return (
+        f"the process that works on the mesh ended ({_ending(code)}): is there memory for it? "
+        f"It may have {allowed.memory / 1e9:.2g} GB"
+    )
+
+
+def light(mesh: str) -> bool:
+    """Whether a mesh is made or read in a few milliseconds, less than a process takes to start."""
+    entry = meshes.catalogue().get(mesh)
+    if entry is not None:
+        return entry.make.__module__ == shapes.__name__
+    path = Path(mesh)
+    try:
+        return path.stat().st_size <= LIGHT and path.suffix.lower() in _LIGHT_KINDS
+    except (OSError, ValueError):
+        return True  # to be refused with the reason
+
+
+class _Pickler(pickle.Pickler):
+    """Leaves arms out: they are bound to this process, and the other side has its own."""
+
+    def persistent_id(self, obj: Any) -> str | None:
+        return "arm" if isinstance(obj, Arm) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, data: bytes, arm: Arm | None, buffers: list[memoryview]) -> None:
+        super().__init__(BytesIO(data), buffers=buffers)
+        self._arm = arm
+
+    def persistent_load(self, _pid: str) -> Arm | None:
+        return self._arm
+
+
+def _send(stream: IO[bytes], kind: str, content: Any) -> None:
+    """One frame: length of the pickle, number and lengths of the arrays; pickle; arrays."""
+    arrays: list[pickle.PickleBuffer] = []
+    data = BytesIO()
+    _Pickler(data, protocol=5, buffer_callback=arrays.append).dump((kind, content))
+    raw = [array.raw() for array in arrays]
+    for number in (len(data.getvalue()), len(raw), *(part.nbytes for part in raw)):
+        stream.write(number.to_bytes(_LENGTH, "little"))
+    stream.write(data.getvalue())
+    for part in raw:
+        stream.write(part)
+    stream.flush()
+
+
+def _receive(stream: IO[bytes], arm: Arm | None) -> tuple[str, Any]:
+    """The next frame's content, arrays read-only. EOFError where there is none."""
+
+    def number() -> int:
+        return int.from_bytes(_exactly(stream, _LENGTH), "little")
+
+    length, count = number(), number()
+    lengths = [number() for _ in range(count)]
+    data = bytes(_exactly(stream, length))
+    arrays = [_exactly(stream, size).toreadonly() for size in lengths]
+    kind, content = _Unpickler(data, arm, arrays).load()
+    return str(kind), content
+
+
+def _exactly(stream: IO[bytes], size: int) -> memoryview:
+    # numpy asks for large pages, which are as quick to fill as to give back.
+    buffer = np.empty(size, dtype=np.uint8).data
+    if stream.readinto(buffer) != size:  # type: ignore[attr-defined]
+        raise EOFError
+    return buffer
+
+
+def _ending(code: int) -> str:
+    return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
+
+
+def _spare() -> float:
+    """Memory [byte] that the machine can give without pushing anything out; inf: not known."""
+    spare = np.inf
+    with contextlib.suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        found = next(line for line in lines if line.startswith("MemAvailable:"))
+        spare = 1024.0 * int(found.split()[1])
+    with contextlib.suppress(OSError, ValueError):  # a container may have less: "max" if not
+        group = Path("/sys/fs/cgroup")
+        limit, used = (int((group / f"memory.{k}").read_text()) for k in ("max", "current"))
+        spare = min(spare, float(max(limit - used, 0)))
+    return spare
+
+
+def _limit(allowed: Allowance) -> None:
+    """Hold this process to its allowance, as far as its system knows how to."""
+    seconds = int(allowed.seconds) + 1 + int(sum(os.times()[:2]))
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    with contextlib.suppress(OSError, ValueError):
+        # Libraries have long reserved more address space than they ever use.
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        if np.isfinite(allowed.memory):
+            limit = pages * resource.getpagesize() + int(allowed.memory)
+            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+    # No picture of the memory on the disk when a limit is met.
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _main() -> None:
+    os.nice(max(-os.nice(0), 0))  # what the session has of priority is for the session
+    # What libraries print must not get between the frames.
+    stream = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=_PIPE)
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    try:
+        work, allowed = pickle.load(sys.stdin.buffer)
+    except (EOFError, pickle.UnpicklingError):
+        os._exit(1)  # ended before the work was given
+    _limit(allowed)
+    try:
+        try:
+            result = work(progress=lambda text: _send(stream, "say", text))
+        except BrokenPipeError:
+            raise
+        except Exception as error:
+            if _out_of_memory(error):
+                error = Ended(
+                    f"the work on the mesh needs more than the {allowed.memory / 1e9:.2g} GB of "
+                    "memory that a mesh file of this size may have"
+                )
+            _send(stream, "failed", _portable(error))
+        else:
+            _send(stream, "done", result)
+    except BrokenPipeError:
+        os._exit(1)  # the session was ended: there is nobody to work for
+
+
+def _out_of_memory(error: BaseException | None) -> bool:
+    """Whether there was no memory, also where a reader took that for a damaged file.
+
+    Compiled code that gets no memory may also return without a word, a SystemError.
+    """
+    while error is not None:
+        if isinstance(error, MemoryError | SystemError):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _portable(error: Exception) -> Exception:
+    """The error itself, without what led to it, if it survives the way; else a ValueError."""
+    try:
+        copy = pickle.loads(pickle.dumps(error))
+    except Exception:
+        return ValueError(str(error))
+    return copy if str(copy) == str(error) else ValueError(str(error))
+
+
+if __name__ == "__main__":
+    # Under its own name: what is sent back is of this module's classes.
+    from app.scene.worker import _main as _named
+
+    _named()

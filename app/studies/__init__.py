@@ -1,0 +1,1 @@
+"""Studies without a person: the safety campaign, the paper's experiments, and their results."""

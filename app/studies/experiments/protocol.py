@@ -1,0 +1,271 @@
+"""The trials of the experiments: which there are, and what comes of one.
+
+A trial depends on its own description alone, seed included: run anywhere, in any order, it gives
+the same numbers on the same kind of machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import meshes
+import vf
+from app.kinds import Kind, Length, Number, Switch, Whole, shown
+from app.options import check_keys, declared, option
+from app.scene.scene import corridor
+from app.studies.experiments import cutting, judge, registration, site, smoothness
+from app.studies.experiments.description import Trial
+from app.studies.experiments.follower import ControlledArm
+from app.studies.experiments.operators import Operator
+from app.studies.experiments.site import Course
+from app.studies.experiments.trial import Run, perform
+from app.words import OptionError
+
+FloatArray = NDArray[np.float64]
+
+LONGEST = 1e6  # [s] of simulated or computing time
+RADIUS = 5e-3  # of the motion sphere, the paper's [m]
+SAMPLED = 100.0  # the smoothness is judged at, and trajectories are kept at [Hz]
+OPERATORS_DIFFER = 0.15  # log-normal spread of the calibrated values among operators, assumed
+
+
+class Mapping(Kind):
+    """A JSON object; what is in it is checked where it is made into something."""
+
+    def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, dict):
+            raise OptionError(f"{name} must be an object {{…}}, not {shown(value)}")
+
+
+class Counts(Mapping):
+    """A JSON object of counts by name."""
+
+    def check(self, name: str, value: Any) -> None:
+        super().check(name, value)
+        for key, count in value.items():
+            _COUNT.check(f"{name} {shown(key)}", count)
+
+
+@dataclass(frozen=True)
+class Table(Kind):
+    """Rows of numbers as JSON has them: `rows` rows, or each of `columns` numbers; null: none."""
+
+    low: float
+    high: float
+    rows: int | None = None
+    columns: int | None = None
+
+    def check(self, name: str, value: Any) -> None:
+        rows: list[list[Any]] = value if isinstance(value, list) else []
+        sound = (
+            isinstance(value, list)
+            and all(isinstance(row, list) for row in rows)
+            and self.rows in (None, len(rows))
+            and all(self.columns in (None, len(row)) for row in rows)
+        )
+        if not sound:
+            shape = f"{self.rows} row" if self.rows else f"rows of {self.columns} numbers"
+            raise OptionError(f"{name} must be a table of {shape}, not {shown(value)}")
+        for number in (x for row in rows for x in row if x is not None):
+            known = isinstance(number, int | float) and not isinstance(number, bool)
+            if not known or not self.low <= number <= self.high:
+                raise OptionError(
+                    f"{name} has {shown(number)}, which is no number from {self.low:g} "
+                    f"to {self.high:g}"
+                )
+
+
+_COUNT = Whole(0, 10**9)  # of ticks and of what happens in them
+_TIME = Number(0.0, LONGEST, "s")
+_ERROR = Length(0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial. Lengths in metres, times in seconds.
+
+    Attributes:
+        duration: simulated.
+        finished: whether the end of the cut was reached.
+        sal, sparc: smoothness of the tip's speed.
+        fre, tre: errors of the registration, at the fiducials and along the cut.
+        stations, deviation, penetration: of the cut, signed, NaN where there is none.
+        removed: volume of bone [m³].
+        crossings: steps of the tip that met the registered surface (judged, assisted only).
+        outside: ticks outside the registered corridor (judged, assisted only).
+        ticks, statuses: of the controller.
+        submovements, corrections: of the operator.
+        elapsed: what the trial took to compute; driving: processor time of controller and operator.
+        trajectory: (m, 4) station, aside, height and time of the tip at `SAMPLED`.
+    """
+
+    trial: Trial = option(Mapping())
+    duration: float = option(_TIME)
+    finished: bool = option(Switch())
+    sal: float = option(Number(-1e6, 0.0))
+    sparc: float = option(Number(-1e6, 0.0))
+    fre: float = option(_ERROR)
+    tre: float = option(_ERROR)
+    stations: FloatArray = option(Table(0.0, 1.0, rows=1))
+    deviation: FloatArray = option(Table(-1.0, 1.0, rows=1))
+    penetration: FloatArray = option(Table(-1.0, 1.0, rows=1))
+    removed: float = option(Number(0.0, 1.0, "m³"))
+    crossings: int = option(_COUNT)
+    outside: int = option(_COUNT)
+    ticks: int = option(_COUNT)
+    statuses: dict[str, int] = option(Counts())
+    submovements: int = option(_COUNT)
+    corrections: int = option(_COUNT)
+    elapsed: float = option(_TIME)
+    driving: float = option(_TIME)
+    trajectory: FloatArray = option(Table(-LONGEST, LONGEST, columns=4))
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything as plain values; `from_json` gives back an equal outcome."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        values["trial"] = dataclasses.asdict(self.trial)
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                # Trajectories to a nanometre, or a study would fill a disk with digits.
+                rounded = np.round(value, 9) if name == "trajectory" else value
+                values[name] = [[None if np.isnan(x) else x for x in row]
+                                for row in np.atleast_2d(rounded).tolist()]  # fmt: skip
+        return values
+
+    @staticmethod
+    def from_json(content: object) -> Outcome:
+        """An outcome from the plain values of a file that nobody vouches for.
+
+        Raises:
+            OptionError: a key that does not belong there or is missing, or a value out of range.
+        """
+        told = declared(Outcome)
+        values = dict(check_keys("the outcome of a trial", content, told))
+        for name, value in values.items():
+            told[name].kind.check(name, value)
+        values["trial"] = Trial(**check_keys("its trial", values["trial"], declared(Trial)))
+        for name in ("stations", "deviation", "penetration", "trajectory"):
+            array = np.array(values[name], dtype=np.float64)
+            values[name] = array.reshape(-1, 4) if name == "trajectory" else array[0]
+        return Outcome(**values)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A trial's outcome together with all that was recorded of it: what a replay needs."""
+
+    outcome: Outcome
+    run: Run
+    joints: FloatArray
+    T_base_registered: FloatArray
+    course: Course
+
+
+def run(trial: Trial, operator: Operator | None = None) -> Outcome:
+    """Do one trial."""
+    return record(trial, operator).outcome
+
+
+def record(trial: Trial, operator: Operator | None = None) -> Recorded:
+    """Do one trial and keep every tick of it.
+
+    Args:
+        operator: whose hand; the one with the trial's number if not given.
+    """
+    began = time.perf_counter()
+    place = site.build(trial.mesh, trial.length)
+    if operator is None:
+        operator = who(trial)
+    truth = place.course.moved(place.T_base_skull)
+    found = registration.fit(
+        place.fiducials,
+        registration.measure(
+            meshes.transformed(place.T_base_skull, place.fiducials),
+            trial.noise,
+            trial.generator(0),
+        ),
+    )
+    believed = place.course.moved(found.T)
+    fixtures: list[vf.Fixture] = []
+    if trial.assisted:
+        guarded = place.guarded(found.T)
+        fixtures = [
+            vf.MeshFixture(guarded, trial.rule, RADIUS),
+            corridor(guarded, believed.points, trial.width),
+        ]
+    arm = ControlledArm(place.arm, fixtures, place.T_base_start, 1.0 / trial.rate)
+    # Of this thread alone: what the machine does besides is not the trial's.
+    driving = time.thread_time()
+    done = perform(
+        operator,
+        truth,
+        place.T_base_start.translation,
+        arm,
+        assisted=trial.assisted,
+        stroke=operator.stroke if trial.experiment == "cutting" else operator.tracing_stroke,
+        rate=trial.rate,
+        rng=trial.generator(1),
+    )
+    driving = time.thread_time() - driving
+    path = np.vstack([place.T_base_start.translation, done.tips])
+    crossings = outside = 0
+    if trial.assisted:
+        vertices, faces = place.inner
+        crossings = judge.crossings(meshes.transformed(found.T, vertices), faces, path)
+        outside = judge.outside(believed.points, path, trial.width)
+    cut = cutting.kerf(truth, done.tips)
+    every = max(round(trial.rate / SAMPLED), 1)
+    sampled = done.tips[every - 1 :: every]
+    speed = smoothness.speed_of(sampled, trial.rate / every)
+    outcome = Outcome(
+        trial=trial,
+        duration=done.duration,
+        finished=done.finished,
+        sal=smoothness.sal(speed, trial.rate / every),
+        sparc=smoothness.sparc(speed, trial.rate / every),
+        fre=found.fre,
+        tre=registration.target_error(found, place.T_base_skull, place.course.points),
+        stations=cut.stations,
+        deviation=cut.deviation,
+        penetration=cut.penetration,
+        removed=float(np.nansum(cut.area) * cutting.INTERVAL),
+        crossings=crossings,
+        outside=outside,
+        ticks=len(done.tips),
+        statuses={s.name: n for s, n in sorted(arm.statuses.items())},
+        submovements=done.submovements,
+        corrections=done.corrections,
+        elapsed=time.perf_counter() - began,
+        driving=driving,
+        trajectory=_along(truth, sampled, trial.rate / every),
+    )
+    return Recorded(outcome, done, np.concatenate(arm.joints), found.T, truth)
+
+
+def who(trial: Trial) -> Operator:
+    """The operator of a trial: the same hand in all trials with that number and seed."""
+    if trial.operator == 0:
+        return Operator()
+    entropy = np.random.SeedSequence((trial.seed, 1 << 20, trial.operator))
+    return Operator().varied(np.random.default_rng(entropy), OPERATORS_DIFFER)
+
+
+def _along(course: Course, points: FloatArray, rate: float) -> FloatArray:
+    """Points in the course's own coordinates: station, aside, height over the bone, and time."""
+    nearest = np.linalg.norm(points[:, None] - course.points, axis=2).argmin(axis=1)
+    off = points - course.points[nearest]
+    return np.stack(
+        [
+            course.stations[nearest] + (off * course.along[nearest]).sum(axis=1),
+            (off * course.aside[nearest]).sum(axis=1),
+            (off * course.outward[nearest]).sum(axis=1),
+            np.arange(1, len(points) + 1) / rate,
+        ],
+        axis=1,
+    )

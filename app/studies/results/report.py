@@ -1,0 +1,194 @@
+"""The results on the terminal, as files, and as one HTML page that needs nothing else."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import html
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from app.console import Column, count, show_table
+from app.studies.experiments.operators import Operator
+from app.studies.experiments.protocol import Outcome
+from app.studies.results import analysis
+from app.studies.results.analysis import Line
+from app.studies.results.published import Value
+
+CAVEAT = (
+    "A simulated hand, calibrated on the paper's plain teleoperation. What it does with the "
+    "fixture is a prediction of the model: it says what the geometry of fixture, view and "
+    "registration can explain, and is no evidence about surgeons."
+)
+_COLUMNS = (
+    "quantity", "teleoperation", "with fixture", "difference [95 %]", "p", "effect [95 %]", "n",
+    "paper: teleop.", "paper: fixture",
+)  # fmt: skip
+
+
+def lines(outcomes: Sequence[Outcome]) -> list[Line]:
+    """The comparisons of an experiment."""
+    tracing = outcomes[0].trial.experiment == "tracing"
+    return analysis.tracing(outcomes) if tracing else analysis.cutting(outcomes)
+
+
+def show(outcomes: Sequence[Outcome], console: Console) -> None:
+    """The table beside the paper's figures, and what was judged."""
+    show_table(
+        console,
+        [Column(name, left=k == 0) for k, name in enumerate(_COLUMNS)],
+        [[escape(cell) for cell in _cells(line)] for line in lines(outcomes)],
+        title=_title(outcomes),
+    )
+    for verdict in _verdicts(outcomes):
+        console.print(verdict)
+    console.print(f"[dim]{CAVEAT}[/]")
+
+
+def write(outcomes: Sequence[Outcome], out: Path) -> list[Path]:
+    """Write trials.csv, stations.csv, trajectories.csv and report.html to a directory.
+
+    The report is left out where matplotlib is not installed.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    written = [_trials(outcomes, out), _stations(outcomes, out), _trajectories(outcomes, out)]
+    try:
+        page = render(outcomes)
+    except ImportError:
+        return written
+    path = out / "report.html"
+    path.write_text(page, encoding="utf-8")
+    return [*written, path]
+
+
+def render(outcomes: Sequence[Outcome]) -> str:
+    """The report: one page of HTML with the figures in it.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    from app.studies.results import figures
+
+    tracing = outcomes[0].trial.experiment == "tracing"
+    pictures = (
+        [("Over the skull's cross-section (the paper's Fig. 10)", figures.section(outcomes)),
+         ("Spectra of the tip's speed", figures.speeds(outcomes))]
+        if tracing
+        else [("From above (the paper's Fig. 11)", figures.top(outcomes, outcomes[0].trial.width)),
+              ("At the stations (the paper's Fig. 12)", figures.boxes(outcomes)),
+              ("Over the skull's cross-section", figures.section(outcomes))]
+    )  # fmt: skip
+    head = "".join(f"<th>{html.escape(c)}</th>" for c in _COLUMNS)
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in _cells(line)) + "</tr>"
+        for line in lines(outcomes)
+    )
+    parameters = "".join(
+        f"<tr><td>{html.escape(f.name)}</td><td>{f.default:.4g} {html.escape(f.metadata['unit'])}"
+        f"</td><td>{html.escape(f.metadata['about'])}</td>"
+        f"<td>{html.escape(f.metadata['source'])}</td></tr>"
+        for f in dataclasses.fields(Operator)
+    )
+    verdicts = "".join(f"<p>{html.escape(line)}</p>" for line in _verdicts(outcomes))
+    drawn = "".join(f"<h2>{html.escape(title)}</h2>{svg}" for title, svg in pictures)
+    trial = json.dumps(dataclasses.asdict(outcomes[0].trial))
+    return (
+        "<!doctype html><html lang='en'><meta charset='utf-8'>"
+        f"<title>{html.escape(_title(outcomes))}</title><style>"
+        "body{font:15px/1.45 system-ui,sans-serif;max-width:960px;margin:2em auto;padding:0 1em}"
+        "table{border-collapse:collapse;font-size:13px}td,th{padding:.25em .6em;text-align:right;"
+        "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}"
+        ".p td{text-align:left}svg{max-width:100%;height:auto}.c{background:#fff3e0;padding:.6em}"
+        f"</style><h1>{html.escape(_title(outcomes))}</h1><p class='c'>{html.escape(CAVEAT)}</p>"
+        f"<table><tr>{head}</tr>{rows}</table>{verdicts}{drawn}"
+        "<h2>The operator</h2><table class='p'><tr><th>parameter</th><th>value</th><th>what</th>"
+        f"<th>source</th></tr>{parameters}</table>"
+        f"<p>First trial: <code>{html.escape(trial)}</code></p></html>\n"
+    )
+
+
+def _title(outcomes: Sequence[Outcome]) -> str:
+    off, on = analysis.split(outcomes)
+    trial = outcomes[0].trial
+    what = "Path tracing" if trial.experiment == "tracing" else "Cutting"
+    return f"{what} in silico: {len(off)} + {len(on)} trials, {trial.mesh}, seed {trial.seed}"
+
+
+def _verdicts(outcomes: Sequence[Outcome]) -> list[str]:
+    _off, on = analysis.split(outcomes)
+    steps = sum(o.ticks for o in on)
+    slowest = min(o.duration / o.driving for o in outcomes)
+    found = [
+        f"{count(analysis.violations(outcomes), 'violation')} of the registered surface and "
+        f"corridor in {count(steps, 'assisted tick')}, judged apart from the fixtures.",
+        f"Registration: FRE {1e3 * np.mean([o.fre for o in outcomes]):.2f} mm, "
+        f"TRE along the cut {1e3 * np.mean([o.tre for o in outcomes]):.2f} mm on average. "
+        f"Slowest trial: {slowest:.1f} times real time, by processor time on one core.",
+    ]
+    unfinished = [o.trial.key for o in outcomes if not o.finished]
+    if unfinished:
+        found.append(f"Given up before the end of the cut: {', '.join(unfinished)}.")
+    return found
+
+
+def _cells(line: Line) -> list[str]:
+    measure, c = line.measure, line.comparison
+    theirs = [_pair(measure.off), _pair(measure.assisted)] if measure else ["", ""]
+    name = f"{line.name} [{line.unit}]" if line.unit else line.name
+    if c is None:
+        return [name, *["too few"] * 5, "", *theirs]
+    return [
+        name, _pair(Value(*c.off)), _pair(Value(*c.assisted)),
+        f"{c.difference:+.2f} [{c.low:+.2f}, {c.high:+.2f}]", f"{c.p:.2g} ({c.test})",
+        f"{c.effect:+.2f}"
+        + ("" if np.isnan(c.effect_low) else f" [{c.effect_low:+.2f}, {c.effect_high:+.2f}]"),
+        f"{c.sizes[0]} + {c.sizes[1]}", *theirs,
+    ]  # fmt: skip
+
+
+def _pair(value: Value) -> str:
+    return f"{value.mean:.2f} ± {value.spread:.2f}"
+
+
+def _trials(outcomes: Sequence[Outcome], out: Path) -> Path:
+    path = out / "trials.csv"
+    scalars = (
+        "duration", "finished", "sal", "sparc", "fre", "tre", "removed", "crossings", "outside",
+        "ticks", "submovements", "corrections", "driving",
+    )  # fmt: skip
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        described = [f.name for f in dataclasses.fields(outcomes[0].trial)]
+        writer.writerow(["key", *described, *scalars, "mean_deviation", "mean_penetration"])
+        for o in outcomes:
+            writer.writerow(
+                [o.trial.key, *dataclasses.astuple(o.trial), *(getattr(o, s) for s in scalars),
+                 float(np.nanmean(np.abs(o.deviation))), float(np.nanmean(np.abs(o.penetration)))]
+            )  # fmt: skip
+    return path
+
+
+def _stations(outcomes: Sequence[Outcome], out: Path) -> Path:
+    path = out / "stations.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["key", "station_m", "deviation_m", "penetration_m"])
+        for o in outcomes:
+            rows = zip(o.stations, o.deviation, o.penetration, strict=True)
+            writer.writerows([o.trial.key, *map(float, row)] for row in rows)
+    return path
+
+
+def _trajectories(outcomes: Sequence[Outcome], out: Path) -> Path:
+    path = out / "trajectories.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["key", "station_m", "aside_m", "height_m", "time_s"])
+        for o in outcomes:
+            writer.writerows([o.trial.key, *(f"{x:.9g}" for x in row)] for row in o.trajectory)
+    return path

@@ -1,0 +1,315 @@
+"""The safety property under attack: does the tip ever cross, does the cover ever leak?"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import robots
+import vf
+from app.judges import oracles
+from app.studies.verification import hands, scenes
+from meshes.builtin.shapes import Arrays
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[int], None]
+
+# Shares of a tick at which the tip is looked at.
+MARKS = np.linspace(0.0, 1.0, 5)
+EPISODE = 400  # ticks from one start position
+SAMPLED = 97  # every so many ticks the blocked share is measured
+QUERIES_SAMPLED = 16  # and every so many queries, from the first on
+
+
+@dataclass
+class Drive:
+    """What came of driving an arm against one mesh."""
+
+    ticks: int = 0
+    crossings: int = 0
+    first: str = ""  # where the first crossing happened, to reproduce it
+    inside: int = 0  # ticks that began inside, as the controller says
+    statuses: Counter[vf.Status] = field(default_factory=Counter)
+    solvers: Counter[vf.Solver] = field(default_factory=Counter)
+    planes: int = 0
+    shrunk: int = 0  # ticks with the plane budget spent
+    forbidden: int = 0
+    free: int = 0
+    times: list[float] = field(default_factory=list)  # [s]
+
+    @property
+    def blocked(self) -> float:
+        """Share of the directly reachable part of the motion sphere that the planes forbade."""
+        return self.forbidden / self.free if self.free else 0.0
+
+
+@dataclass
+class Cover:
+    """What came of querying a rule around one mesh."""
+
+    queries: int = 0
+    leaking: int = 0  # queries with at least one leak
+    first: str = ""
+    planes: int = 0
+    shrunk: int = 0
+    forbidden: int = 0
+    free: int = 0
+
+    @property
+    def blocked(self) -> float:
+        return self.forbidden / self.free if self.free else 0.0
+
+
+def drive(
+    arm: robots.Arm,
+    mesh: Arrays,
+    *,
+    rule: str,
+    radius: float | None,
+    steps: int,
+    seed: int,
+    noise: float = 0.0,
+    tip_radius: float = 0.0,
+    scene: scenes.Scene = scenes.PLAIN,
+    outside_of: vf.Surface | None = None,
+    progress: Progress = lambda _ticks: None,
+) -> Drive:
+    """Let adversarial hands push the arm against a mesh for `steps` ticks.
+
+    Every few hundred ticks the arm starts anew: at random joint positions all over its range, with
+    the mesh moved so that a random spot of it is next to the tip. The segments between the true tip
+    positions of consecutive ticks, and between some that the joints pass on the way, are judged
+    against every triangle and the corridor; a tip with a radius crosses a triangle where its ball
+    cuts it.
+
+    Args:
+        tip_radius: of the tip, at least that of the scene [m].
+        scene: what else stands around the tip.
+        noise: bound on the actuation error at the tip added after every tick, as a share of the
+            motion sphere's radius. The standoff is set to four times it (at least the default):
+            an error larger than the standoff cannot be promised away by any planes, nor one larger
+            than the room there is: in a narrow scene there is none.
+        outside_of: start only outside this closed surface (the mesh before it was damaged).
+    """
+    rng = np.random.default_rng(seed)
+    result = Drive()
+    bound = 0.0 if scene.narrow else noise * (radius if radius is not None else 5e-4)
+    tip_radius = max(tip_radius, scene.tip_radius)
+    settings = vf.Settings(
+        dt=scene.period, standoff=max(scene.standoff, 4.0 * bound), tip_radius=tip_radius
+    )
+    while result.ticks < steps:
+        q = _some_pose(arm, rng)
+        tip = arm.tip(q)
+        around = scenes.Surroundings(
+            scene,
+            partial(_surface_near, mesh, tip.translation, tip_radius, outside_of, rng),
+            tip.translation, rule, radius, tip_radius, rng,
+        )  # fmt: skip
+        controller = vf.Controller(arm, around.fixtures, settings)
+        tools = [tip]
+        hand = hands.goals(rng, around.surfaces[0], tip, tools)
+        through = False
+        length = min(EPISODE, steps - result.ticks)
+        for _ in range(length):
+            before = q
+            step = controller.step(q, next(hand))
+            q = _actuate(arm, step.q, bound, rng) if bound else step.q
+            tools[0] = arm.tip(q)
+            through |= _judge(result, around, step, _way(arm, before, q), rng, through)
+            result.ticks += 1
+        progress(length)
+    return result
+
+
+def _way(arm: robots.Arm, q: FloatArray, q_new: FloatArray) -> list[FloatArray]:
+    """Tip positions (3,) that joints pass which move evenly from q to q_new (n,)."""
+    if (q_new == q).all():
+        return [arm.tip(q).translation.copy()]
+    marks = MARKS if arm.revolute.any() else MARKS[[0, -1]]
+    return [arm.tip(q + t * (q_new - q) if t < 1.0 else q_new).translation.copy() for t in marks]
+
+
+def _judge(
+    result: Drive,
+    around: scenes.Surroundings,
+    step: vf.Step,
+    way: list[FloatArray],
+    rng: np.random.Generator,
+    through: bool,
+) -> bool:
+    """Count what happened in one tick; whether something was crossed.
+
+    Every episode starts outside. So that a tick starts inside is believed only once something was
+    crossed in this episode (`through`): then the tool is let out, which is no further crossing.
+    """
+    result.statuses[step.status] += 1
+    result.solvers[step.solver] += 1
+    result.planes += len(step.planes)
+    result.shrunk += step.planes.radius < step.radius
+    result.times.append(step.timings.total)
+    if step.status is vf.Status.INSIDE:
+        result.inside += 1
+        if through:
+            return False
+    crossed = any(around.crossings(a, b) for a, b in pairwise(way))
+    if crossed:
+        result.crossings += 1
+        if not result.first:
+            result.first = f"tick {result.ticks}: {way[0].tolist()} → {way[-1].tolist()}"
+    if result.ticks % SAMPLED == 0 and step.radius > 0.0:
+        surface = around.surfaces[0]
+        forbidden, free = oracles.blocked(surface, step.planes, way[0], step.radius, rng, 16)
+        result.forbidden += forbidden
+        result.free += free
+    return crossed
+
+
+def _some_pose(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
+    """Joint positions all over the range; every third with some joints at their very limits."""
+    share = rng.uniform(0.02, 0.98, len(arm.lower))
+    if rng.random() < 1.0 / 3.0:
+        ends = rng.random(len(share)) < 0.4
+        share[ends] = rng.integers(0, 2, ends.sum())
+    return arm.lower + share * (arm.upper - arm.lower)
+
+
+def _surface_near(
+    mesh: Arrays,
+    p: FloatArray,
+    tip_radius: float,
+    outside_of: vf.Surface | None,
+    rng: np.random.Generator,
+) -> vf.Surface:
+    """The mesh, moved so that a random spot of its outside is within millimetres of p (3,)."""
+    vertices, faces = mesh
+    while True:
+        corners = vertices[faces[rng.integers(len(faces))]]
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        size = float(np.linalg.norm(normal))
+        if size == 0.0:
+            continue
+        spot = rng.dirichlet([1.0, 1.0, 1.0]) @ corners
+        side = 1.0 if rng.random() < 0.7 else -1.0  # open meshes are met from behind as well
+        gap = tip_radius + rng.uniform(5e-5, 3e-3)
+        start = spot + side * gap * normal / size
+        if outside_of is not None and outside_of.inside(start):
+            continue
+        surface = vf.Surface.from_arrays(vertices + (p - start), faces)
+        if not surface.inside(p) and surface.nearest(p)[0] > tip_radius + 4e-5:
+            return surface
+
+
+def _actuate(arm: robots.Arm, q: FloatArray, bound: float, rng: np.random.Generator) -> FloatArray:
+    """Joint positions the arm really reaches: the tip is off by at most `bound` [m]."""
+    p = arm.tip(q).translation
+    error = rng.normal(size=len(q)) * arm.velocity
+    J = arm.jacobian(q)[:3]
+    error *= bound * rng.random() / max(float(np.linalg.norm(J @ error)), 1e-12)
+    while True:
+        q_true = arm.clamp(q + error)
+        if np.linalg.norm(arm.tip(q_true).translation - p) <= bound:
+            return q_true
+        error *= 0.5
+
+
+def query(
+    mesh: Arrays,
+    *,
+    rule: str,
+    edges: float,
+    queries: int,
+    seed: int,
+    standoff: float = 0.0,
+    tip_radius: float = 0.0,
+    outside_of: vf.Surface | None = None,
+    progress: Progress = lambda _queries: None,
+) -> Cover:
+    """Look for leaks of a rule around a mesh at points all over it, from both sides.
+
+    Points inside are left out where the mesh is closed and has an inside.
+
+    Args:
+        edges: radius of the ball in median edge lengths.
+        standoff, tip_radius: of the certified rule [m]; the other rules have none here. A tip that
+            overlaps the mesh is not asked for.
+        outside_of: ask only outside this closed surface (the mesh before it was damaged).
+    """
+    surface = vf.Surface.from_arrays(*mesh)
+    rng = np.random.default_rng(seed)
+    radius = edges * surface.median_edge
+    result = Cover()
+    while result.queries < queries:
+        corners = surface.vertices[surface.faces[rng.integers(len(surface.faces))]]
+        heading = rng.normal(size=3)
+        heading /= np.linalg.norm(heading)
+        gap = tip_radius + radius * rng.uniform(0.001, 1.0)
+        x = rng.dirichlet([1.0, 1.0, 1.0]) @ corners + heading * gap
+        if surface.inside(x) or (outside_of is not None and outside_of.inside(x)):
+            continue
+        if tip_radius and surface.nearest(x)[0] <= tip_radius:
+            continue
+        planes = planes_of(rule, surface, x, radius, standoff, tip_radius)
+        result.queries += 1
+        result.planes += len(planes)
+        result.shrunk += planes.radius < radius
+        if oracles.leaks(surface, planes, x, planes.radius, tip_radius):
+            result.leaking += 1
+            if not result.first:
+                result.first = f"query {result.queries}: x = {x.tolist()}, radius {radius!r}"
+        if result.queries % QUERIES_SAMPLED == 1:
+            forbidden, free = oracles.blocked(surface, planes, x, radius, rng, 64)
+            result.forbidden += forbidden
+            result.free += free
+        if result.queries % 100 == 0:
+            progress(100)
+    progress(result.queries % 100)
+    return result
+
+
+def planes_of(
+    rule: str,
+    surface: vf.Surface,
+    x: FloatArray,
+    radius: float,
+    standoff: float,
+    tip_radius: float = 0.0,
+) -> vf.Planes:
+    """The planes of a rule as it stands, without the controller around it."""
+    if rule == "certified":
+        return vf.certified_planes(surface, x, radius, standoff, tip_radius)
+    if rule == "paper":
+        return vf.paper_planes(surface, x, radius)
+    if rule == "all":
+        return vf.every_plane(surface, x, radius)
+    return vf.Planes.none(radius)
+
+
+def rest(
+    surface: vf.Surface,
+    rule: str,
+    radius: float,
+    start: FloatArray,
+    proxy: FloatArray,
+    ticks: int = 4000,
+) -> FloatArray:
+    """Where a free-flying tip (3,) comes to rest that follows a proxy (3,) from a start (3,)."""
+    arm = robots.load("point")
+    controller = vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)])
+    goal = pin.SE3(np.eye(3), proxy)
+    q = start.copy()
+    still = 0
+    for _ in range(ticks):
+        step = controller.step(q, goal)
+        still = still + 1 if np.abs(step.q - q).max() < 1e-8 else 0
+        q = step.q
+        if still >= 20:
+            break
+    return q

@@ -1,0 +1,82 @@
+"""Generated meshes kept between runs, in the user's cache folder."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+
+from meshes.builtin.shapes import Arrays
+
+RECIPES = 1
+"""Counts changes of the recipes; part of every key, so that an old file is never taken for new."""
+
+
+def folder() -> Path:
+    """Where the files lie (not created yet on the first run)."""
+    return Path(platformdirs.user_cache_dir("vf-sandbox", appauthor=False)) / "meshes"
+
+
+def path(name: str) -> Path:
+    """The file of one mesh. Triangulations differ between versions of the solid kernel."""
+    return folder() / f"{name}-r{RECIPES}-manifold3d-{version('manifold3d')}.npz"
+
+
+def kept(name: str, make: Callable[[], Arrays]) -> Callable[[], Arrays]:
+    """``make``, run once for each user and version, then read from the cache.
+
+    A damaged file is made anew; a folder that cannot be written costs time, never an error.
+    """
+
+    def read_or_make() -> Arrays:
+        file = path(name)
+        arrays = _read(file)
+        if arrays is None:
+            arrays = make()
+            with contextlib.suppress(OSError):
+                _write(file, arrays)
+        return arrays
+
+    return read_or_make
+
+
+def _read(file: Path) -> Arrays | None:
+    """The arrays in ``file``, or None if it is missing or anything about it is wrong."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            vertices = stored["vertices"]
+            faces = stored["faces"].astype(np.int64)
+    # Whatever a damaged archive makes zipfile, zlib or numpy raise, the remedy is the same.
+    except Exception:
+        return None
+    sound = (
+        vertices.dtype == np.float64
+        and vertices.ndim == faces.ndim == 2
+        and vertices.shape[1] == faces.shape[1] == 3
+        and faces.size > 0
+        and faces.min() >= 0
+        and faces.max() < len(vertices)
+        and bool(np.isfinite(vertices).all())
+    )
+    return (vertices, faces) if sound else None
+
+
+def _write(file: Path, arrays: Arrays) -> None:
+    """Write beside and move into place: a reader or a second session never sees half a file."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    vertices, faces = arrays
+    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".npz")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            np.savez(stream, vertices=vertices, faces=faces.astype(np.int32))
+        os.replace(temporary, file)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise

@@ -1,0 +1,126 @@
+"""Reading Wavefront OBJ: positions and faces, nothing else.
+
+An own reader, because trimesh splits positions that carry several normals or texture points,
+drops what no face uses, and takes index 0 for the first vertex: a fixture needs the positions and
+the neighbours as the file has them. Material files are never opened.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+
+import numpy as np
+
+from meshes import frames
+from meshes.content import Content, checked, cut_off
+from meshes.errors import MeshError
+from meshes.formats import text
+from meshes.polygons import triangles
+
+# Statements that say nothing about where the surface is.
+_KNOWN = frozenset(
+    b"vt vn vp l p g o s mg mtllib usemtl usemap maplib bevel c_interp d_interp lod"
+    b" shadow_obj trace_obj cstype deg bmat step parm trim hole scrv sp end con ctech stech".split()
+)
+_SURFACES = frozenset(b"surf curv curv2 call csh".split())
+# As MeshLab and this sandbox write them above the vertices.
+_PROMISE = re.compile(rb"#\s*(vertices|faces)\s*:\s*(\d+)\s*\Z", re.IGNORECASE)
+
+
+def read(data: bytes) -> Content:
+    """The one body of an OBJ file, its polygons cut into triangles.
+
+    Raises:
+        MeshError: names the line of what is no OBJ.
+    """
+    plain = text.required(data)
+    if re.match(rb"P(\s+[-+.\deE]+){5}\s+\d+\s", plain):
+        raise MeshError("an MNI object file (of CIVET or BrainSuite), not Wavefront OBJ")
+    positions = array("d")
+    corners = array("q")
+    counts: list[int] = []
+    notes: list[str] = []
+    promised: dict[bytes, int] = {}
+    unknown: tuple[int, bytes] | None = None
+    vertices = 0
+    for number, line in enumerate(_joined(plain).split(b"\n"), 1):
+        words = line.split()
+        if not words:
+            continue
+        kind = words[0].lower()
+        if kind == b"v":
+            if len(words) < 4:
+                raise MeshError(f"line {number}: vertex with {len(words) - 1} coordinates")
+            try:
+                positions.extend(map(float, words[1:4]))
+            except ValueError:
+                for word in words[1:4]:
+                    text.number(word, f"line {number}")
+            vertices += 1
+        elif kind in (b"f", b"fo"):
+            counts.append(_polygon(words, vertices, corners, number))
+        elif kind.startswith(b"#"):
+            if not vertices and (found := _PROMISE.match(line.strip())):
+                promised[found.group(1).lower()] = int(found.group(2))
+        elif kind in _SURFACES:
+            raise MeshError(f"line {number}: free-form surfaces ({kind.decode()}) are not read")
+        elif kind not in _KNOWN and unknown is None:
+            unknown = number, line
+    if unknown is not None and not counts:
+        raise MeshError(f"not Wavefront OBJ: line {unknown[0]} is {text.shown(unknown[1])}")
+    if unknown is not None:
+        notes.append(f"Line {unknown[0]} is not understood: {text.shown(unknown[1])}.")
+    there = {b"vertices": vertices, b"faces": len(counts)}
+    for what, count in promised.items():
+        if there[what] < count:
+            raise cut_off(f"{count:,} {what.decode()}", f"{there[what]:,}")
+    thin = sum(count < 3 for count in counts)
+    if thin:
+        notes.append(f"{thin:,} of the faces have fewer than three corners: no surface.")
+    points = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    checked(points, np.empty((0, 3), dtype=np.int64))
+    faces = triangles(points, np.array(corners, dtype=np.int64), np.array(counts, dtype=np.int64))
+    comments = b"\n".join(x for x in plain[:10_000].split(b"\n") if x.lstrip().startswith(b"#"))
+    return Content(
+        [checked(points, faces)],
+        frame=frames.in_text(comments),
+        notes=(*notes, *text.open_end(plain)),
+    )
+
+
+def _joined(plain: bytes) -> bytes:
+    """Lines that a backslash carries on, as one; the number of lines stays."""
+    if b"\\\n" not in plain:
+        return plain
+    parts = re.split(rb"((?:[^\n]*\\\n)+)", plain)
+    for k in range(1, len(parts), 2):
+        head, parts[k] = parts[k], b""
+        carried = head.count(b"\\\n")
+        line, end, rest = parts[k + 1].partition(b"\n")
+        parts[k + 1] = head.replace(b"\\\n", b" ") + line + b"\n" * carried + end + rest
+    return b"".join(parts)
+
+
+def _polygon(words: list[bytes], vertices: int, corners: array[int], line: int) -> int:
+    """Adds the zero-based corners of one face, and returns how many they are.
+
+    Negative indices count back from the latest of the vertices so far.
+    """
+    count = 0
+    for word in words[1:]:
+        if word.startswith(b"#"):
+            break
+        try:
+            index = int(word.partition(b"/")[0])
+            corners.append(index - 1 if index > 0 else vertices + index)
+        except (ValueError, OverflowError):
+            raise MeshError(f"line {line}: {text.shown(word)} is no corner of a face") from None
+        if index == 0:
+            raise MeshError(f"line {line}: a face refers to vertex 0; OBJ counts from 1")
+        if index < -vertices:
+            raise MeshError(
+                f"line {line}: a face refers to vertex {index}, {vertices} are above it"
+            )
+        count += 1
+    return count

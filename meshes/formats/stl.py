@@ -1,0 +1,168 @@
+"""Reading STL, text and binary, as programs write it rather than as it was once specified.
+
+Counts of zero, bytes after the last triangle, attributes with data behind them, "solid" at the
+start of a binary file, names that hold keywords, any white space: all are met every day. What is
+short of what it promises is refused.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from array import array
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes import frames
+from meshes.content import Content, checked, cut_off
+from meshes.errors import MeshError
+from meshes.formats import text
+
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEAD = 84  # [byte] before the first triangle
+
+_NUMBER = rb"\s+(\S+)\s+(\S+)\s+(\S+)\s+"
+_FACET = re.compile(
+    rb"\s*facet(?:\s+normal\s+\S+\s+\S+\s+\S+)?\s+outer\s*loop\s+"
+    + (rb"vertex" + _NUMBER) * 3
+    + rb"end\s*loop\s+end\s*facet(?!\S)",
+    re.IGNORECASE,
+)
+_SOLID = re.compile(rb"\s*solid(?!\S)", re.IGNORECASE)
+_END = re.compile(rb"\s*end\s*solid(?!\S)", re.IGNORECASE)
+_FIRST_FACET = re.compile(rb"\sfacet\s+normal\s", re.IGNORECASE)
+
+
+def read(data: bytes) -> Content:
+    """The triangles of an STL file, each with corners of its own.
+
+    Raises:
+        MeshError: cut off, damaged or no STL.
+    """
+    plain = text.plain(data)
+    if plain is not None and re.match(rb"\s*solid(?!\S)", plain, re.IGNORECASE):
+        return _text(plain)
+    if len(data) < _HEAD:
+        raise MeshError(f"{len(data)} bytes are too few for an STL file")
+    if plain is not None:
+        line = text.shown(plain.lstrip().partition(b"\n")[0])
+        raise MeshError(f"text that does not begin with 'solid' but with {line}: not STL")
+    return _binary(data)
+
+
+def _text(plain: bytes) -> Content:
+    numbers = array("d")
+    names = []
+    place, inside = 0, False
+    while found := (_END if inside else _SOLID).match(plain, place):
+        inside = not inside
+        place = _name_end(plain, found.end(), inside)
+        names.append(plain[found.end() : place])
+        if not inside:
+            continue
+        facets = _FACET.scanner(plain, place)  # type: ignore[attr-defined]
+        for facet in iter(facets.match, None):
+            try:
+                numbers.extend(map(float, facet.groups()))
+            except ValueError:
+                for word in facet.groups():
+                    text.number(word, f"line {_line(plain, facet.start(1))}")
+            place = facet.end()
+    rest = plain[place:].lstrip()
+    where = f"line {_line(plain, len(plain) - len(rest))}"
+    if rest and inside and re.match(rb"facet\s", rest + b"\n", re.IGNORECASE):
+        if re.search(rb"end\s*facet", rest, re.IGNORECASE):
+            raise MeshError(f"{where}: a facet that is not three vertices of three numbers each")
+        rest = b""  # its last facet is cut
+    if rest:
+        wanted = "'facet' or 'endsolid'" if inside else "'solid'"
+        line = text.shown(rest.partition(b"\n")[0])
+        raise MeshError(f"{where}: {line} where {wanted} should be")
+    if inside:
+        raise cut_off("to go on until 'endsolid'")
+    corners = np.array(numbers, dtype=np.float64).reshape(-1, 3)
+    return Content(
+        [checked(corners, np.arange(len(corners), dtype=np.int64).reshape(-1, 3))],
+        frame=frames.in_text(b"\n".join(names)),
+    )
+
+
+def _name_end(plain: bytes, start: int, begins: bool) -> int:
+    """Where the name of a solid that begins or ends ends: with its line, or before its facets.
+
+    The name may hold any words; what has no lines goes on with facets, or with another solid.
+    """
+    end = plain.find(b"\n", start)
+    end = len(plain) if end < 0 else end
+    facet = _FIRST_FACET.search(plain, start, end)
+    if facet is None:
+        return end
+    if begins:
+        return facet.start()
+    another = plain.lower().rfind(b"solid", start, facet.start())
+    return end if another < 0 else another
+
+
+def _line(plain: bytes, place: int) -> int:
+    return plain.count(b"\n", 0, place) + 1
+
+
+def _binary(data: bytes) -> Content:
+    count = int.from_bytes(data[80:_HEAD], "little")
+    room = len(data) - _HEAD
+    notes: list[str] = []
+    rows: NDArray[np.void] | None = None
+    if count == 0 and room:
+        # Programs that write as they go leave it at that; then the length is all there is.
+        if room % _RECORD.itemsize:
+            raise MeshError(
+                f"its header counts 0 triangles and its length fits none"
+                f" ({len(data):,} bytes): cut off or not STL"
+            )
+        count = room // _RECORD.itemsize
+        notes.append(f"The header counts 0 triangles: all {count:,} that the file has room for.")
+    if room < count * _RECORD.itemsize:
+        raise cut_off(f"{count:,} triangles", f"{room // _RECORD.itemsize:,}")
+    extra = room - count * _RECORD.itemsize
+    if extra:
+        rows = _with_data(data, count)
+        if rows is None and extra % _RECORD.itemsize == 0:
+            both = np.frombuffer(data, _RECORD, offset=_HEAD)
+            if _plausible(both[:count], both[count:]):
+                rows = both
+                notes.append(f"The header counts {count:,} triangles, the file has {len(both):,}.")
+        if rows is None and data[_HEAD + count * _RECORD.itemsize :].strip(b"\0 \t\r\n\x1a"):
+            notes.append(f"{extra:,} bytes after the last triangle are not looked at.")
+    if rows is None:
+        rows = np.frombuffer(data, _RECORD, count=count, offset=_HEAD)
+    corners = rows["corners"].astype(np.float64).reshape(-1, 3)
+    faces = np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
+    return Content([checked(corners, faces)], None, frames.in_text(data[:80]), tuple(notes))
+
+
+def _with_data(data: bytes, count: int) -> NDArray[np.void] | None:
+    """The triangles of a file in which attributes say how many bytes follow each of them."""
+    places = []
+    place = _HEAD
+    for _ in range(count):
+        if place + _RECORD.itemsize > len(data):
+            return None
+        places.append(place)
+        place += _RECORD.itemsize + struct.unpack_from("<H", data, place + 48)[0]
+    if place > len(data) or (place < len(data) and data[place:].strip(b"\0 \t\r\n\x1a")):
+        return None
+    raw = np.frombuffer(data, dtype=np.uint8)
+    table = raw[np.array(places, dtype=np.int64)[:, None] + np.arange(_RECORD.itemsize)]
+    return table.view(_RECORD)[:, 0]
+
+
+def _plausible(known: NDArray[np.void], more: NDArray[np.void]) -> bool:
+    """Whether what follows the triangles of a file looks like more of them."""
+    with np.errstate(all="ignore"):
+        corners = more["corners"].astype(np.float64)
+        low, high = known["corners"].min(axis=(0, 1)), known["corners"].max(axis=(0, 1))
+        size = float(np.linalg.norm(high - low))
+        near = (corners > low - size) & (corners < high + size)
+        lengths = np.linalg.norm(more["normal"], axis=1)
+    return bool(near.all() and ((lengths == 0) | (np.abs(lengths - 1) < 0.01)).all())

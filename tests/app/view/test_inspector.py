@@ -1,0 +1,305 @@
+"""The inspector without a browser: its cases, its solid, its trials, its words, its ray."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import meshes
+import vf
+from app.scene import scene as scenes
+from app.settings import Options
+from app.view.inspector import figures, words
+from app.view.inspector.compare import Comparison, Pose, allowed, sample
+from app.view.inspector.inspection import Inspector, Question, Subject
+from app.view.inspector.picking import pick
+from app.view.inspector.region import allowed_region
+from app.view.worker import Worker
+from tests.support.headless import wait_until
+
+RADIUS = 5e-3
+# Which condition each of the paper's drawings shows for T1 and T2 (its Figures 4 and 5).
+SHOWN = {
+    "Fig. 4 (a)": ("inactive", "Condition 1"),
+    "Fig. 4 (b)": ("inactive", "Condition 1"),
+    "Fig. 4 (c)": ("Condition 2", "Condition 2"),
+    "Fig. 5 (a)": ("Condition 1", "Condition 1"),
+    "Fig. 5 (b)": ("Condition 3", "Condition 1"),
+    "Fig. 5 (c)": ("Condition 3", "inactive"),
+    "Fig. 5 (d)": ("Condition 1", "inactive"),
+    "Fig. 5 (e)": ("inactive", "inactive"),
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> scenes.Scene:
+    return scenes.build(Options(mesh="skull-coarse", robot="point"), 1)
+
+
+@pytest.fixture(scope="module")
+def pressed(scene: scenes.Scene) -> Subject:
+    """The tool pressed against the skull, as the page shows it."""
+    options = Options(mesh="skull-coarse", robot="point")
+    controller = scenes.plant(scene, options).controller
+    target = scene.T_base_start.copy()
+    target.translation = target.translation + np.array([0.002, 0.001, -0.03])
+    q = scene.start
+    for _ in range(600):
+        step = controller.step(q, target)
+        q = step.q
+    assert step.multipliers.max() > 1e-6
+    x = np.array(step.tip.translation)
+    return Subject(
+        scene.surface, x, RADIUS, options, "certified", scene, step, Pose(q, target)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(figures.CASES))
+def test_each_case_shows_what_the_paper_draws(name):
+    case = figures.CASES[name]
+    turn = trimesh.transformations.random_rotation_matrix(np.full(3, 0.3))[:3, :3]
+    surface, x = figures.place(case, turn, np.array([0.4, 0.4, -0.1]))
+    explanation = vf.explain(surface, x, figures.RADIUS, standoff=20e-6)
+    found = tuple(words.palette.STATES[words.state_of(explanation.of(t))].name for t in (0, 1))
+    # The certified rule guards what the paper's leaves undecided, from either side.
+    expected = SHOWN[name]
+    plain = tuple("inactive" if f == "certified only" else f for f in found)
+    assert plain == expected
+    assert (expected[0] == "inactive") == (explanation.of(0).verdict not in vf.reasons.MET)
+    for condition in ("Condition 1", "Condition 2", "Condition 3"):
+        assert (condition in case.expect) == (condition in expected)
+
+
+def test_an_inspection_tells_who_blocks_and_how_hard(pressed):
+    inspection = Inspector().answer(Question(pressed, region=True, comparison=True))
+    step = pressed.step
+    blocking = inspection.foremost()
+    assert blocking == step.planes.triangles[np.argmax(step.multipliers)]
+    text = words.triangle(inspection, blocking)
+    push = step.multipliers[step.planes.triangles == blocking].sum()
+    assert f"pushed back by {push * 1e3:.3f} mm" in text
+    assert "It blocks the way" in text
+    idle = next(t for t in inspection.explanation.triangles if t not in step.planes.triangles)
+    assert "No plane in force" in words.triangle(inspection, int(idle))
+    assert words.nearest(inspection, blocking).count("<tr") == words.NEAREST
+    # A corner of the region is nowhere behind a plane nor out of the sphere.
+    corners = inspection.region.vertices
+    assert (corners @ step.planes.normals.T >= step.planes.offsets - 1e-9).all()
+    assert (np.linalg.norm(corners - pressed.x, axis=1) <= RADIUS * (1 + 1e-9)).all()
+
+
+def test_every_verdict_has_plain_words(pressed):
+    explanation = Inspector().answer(Question(pressed, False, False)).explanation
+    reports = {report.verdict: report for report in explanation}
+    reports[vf.Verdict.OUTSIDE] = explanation.of(int(np.argmax(np.linalg.norm(
+        pressed.surface.vertices[pressed.surface.faces[:, 0]] - pressed.x, axis=1))))  # fmt: skip
+    assert len(reports) >= 4
+    for verdict in vf.Verdict:
+        report = reports.get(verdict) or next(iter(reports.values()))
+        report = vf.TriangleReport(**{**vars(report), "verdict": verdict})
+        text = words.reason(report, pressed)
+        met = re.match(r"Condition (\d)", text)
+        number = {"FACE": 1, "RIDGE": 2, "SHARED": 2, "VALLEY": 3}.get(verdict.name)
+        assert (int(met[1]) if met else None) == number
+
+
+def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pressed):
+    close = Inspector().answer(Question(pressed, False, comparison=True)).trials
+    trials = {trial.rule: trial for trial in close.of}
+    assert set(trials) == set(vf.RULES)
+    assert trials["certified"].leaking == 0.0
+    assert not trials["certified"].crosses
+    assert trials["off"].leaking == 1.0
+    assert trials["off"].blocked == 0.0
+    assert trials["off"].planes == 0
+    assert trials["off"].crosses
+    assert trials["off"].step > 10.0 * trials["certified"].step
+    # Every face in the sphere blocks more than the planes that are needed.
+    assert trials["all"].blocked > trials["certified"].blocked
+    assert trials["certified"].p_tip == pytest.approx(pressed.x, abs=1e-4)
+    html = words.comparison(close)
+    assert "Would go through the surface: off." in html
+
+
+def test_a_leak_is_seen_where_one_is_made(pressed):
+    planes = pressed.step.planes
+    contacts = pressed.surface.within(pressed.x, RADIUS)
+    corners = pressed.surface.vertices[pressed.surface.faces[contacts.triangles]] - pressed.x
+    points = sample(corners, RADIUS, 1500, np.random.default_rng(3))
+    assert not allowed(planes, pressed.x, points, 0.0).any()
+    lost = vf.Planes(*[getattr(planes, f)[1:] for f in (
+        "normals", "offsets", "points", "triangles", "rules")], planes.radius)  # fmt: skip
+    assert allowed(lost, pressed.x, points, 0.0).any()
+
+
+def test_samples_are_on_the_surface_in_the_ball_and_even():
+    # A square of two triangles, far larger than the ball.
+    coarse = np.array([[[-9, -9, 0], [9, -9, 0], [9, 9, 0]], [[-9, -9, 0], [9, 9, 0], [-9, 9, 0]]])
+    points = sample(coarse + np.array([0.0, 0.0, 0.5]), 1.0, 6000, np.random.default_rng(5))
+    assert len(points) > 2000
+    assert np.allclose(points[:, 2], 0.5)
+    r = np.hypot(*points[:, :2].T)
+    assert r.max() <= np.sqrt(0.75)
+    # Even over a disc of that radius: half of them within its half-area radius.
+    assert np.mean(r < np.sqrt(0.375)) == pytest.approx(0.5, abs=0.04)
+
+
+def test_the_allowed_region_has_the_volume_that_a_count_says():
+    rng = np.random.default_rng(9)
+    normals = rng.normal(size=(7, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = -rng.uniform(0.0, 0.6, size=7) * RADIUS
+    x = np.array([0.1, -0.2, 0.3])
+    planes = vf.Planes(normals, offsets + normals @ x, np.zeros((7, 3)), np.zeros(7, int),
+                       np.zeros(7, int), RADIUS)  # fmt: skip
+    region = allowed_region(planes, x)
+    solid = trimesh.Trimesh(region.vertices, region.faces, process=False)
+    assert solid.is_volume
+    z = rng.uniform(-1, 1, size=(200_000, 3))
+    z = RADIUS * z[np.linalg.norm(z, axis=1) < 1]
+    share = (z @ normals.T >= offsets).all(axis=1).mean()
+    assert region.share == pytest.approx(share, rel=0.05)
+    assert solid.volume == pytest.approx(region.share * 4 / 3 * np.pi * RADIUS**3, rel=1e-6)
+
+
+def test_of_a_whole_ball_one_fiftieth_is_not_drawn():
+    """As docs/inspector.md says; and nothing that is drawn is outside."""
+    x = np.array([0.1, -0.2, 0.3])
+    region = allowed_region(vf.Planes.none(RADIUS), x)
+    assert region.share == pytest.approx(0.98, abs=5e-4)
+    assert np.linalg.norm(region.vertices - x, axis=1).max() <= RADIUS * (1.0 + 1e-12)
+
+
+def test_no_room_makes_an_empty_region():
+    wall = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    planes = vf.Planes(wall, np.zeros(2), np.zeros((2, 3)), np.zeros(2, int), np.zeros(2, int), 1.0)
+    assert len(allowed_region(planes, np.zeros(3)).faces) == 0
+
+
+def test_what_did_not_change_is_not_asked_again(pressed):
+    question = Question(pressed, region=True, comparison=False)
+    assert question.same(Question(replace(pressed), True, False))
+    assert not question.same(None)
+    assert not question.same(Question(pressed, False, False))
+    assert not question.same(Question(replace(pressed, x=pressed.x + 1e-6), True, False))
+    assert not question.same(Question(replace(pressed, step=replace(pressed.step)), True, False))
+    assert not question.same(Question(replace(pressed, rule="paper"), True, False))
+    inspector = Inspector()
+    first = inspector.answer(question)
+    again = inspector.answer(Question(replace(pressed, step=replace(pressed.step)), True, False))
+    assert again.explanation is first.explanation
+    assert again.region is first.region
+
+
+def test_a_comparison_that_lags_behind_is_made_up_for(pressed, monkeypatch):
+    inspector = Inspector()
+    first = inspector.answer(Question(replace(pressed, tick=41), False, comparison=True))
+    assert first.settled
+    moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]), tick=43)
+    late = inspector.answer(Question(moved, False, comparison=True))
+    assert not late.settled  # too soon after the first
+    assert late.trials is first.trials
+    # What is said of it is of the moment it was made in, not of this one.
+    assert (late.trials.x == pressed.x).all()
+    assert late.trials.tick == 41
+    assert "after tick 41" in words.comparison(late.trials)
+    monkeypatch.setattr("app.view.inspector.inspection.SLOW", 0.0)
+    caught_up = inspector.answer(Question(moved, False, comparison=True))
+    assert caught_up.settled
+    assert caught_up.trials is not first.trials
+    assert caught_up.trials.tick == 43
+    assert (caught_up.trials.x == moved.x).all()
+
+
+def test_a_comparison_is_not_kept_for_another_place_or_other_settings(pressed):
+    for change in (
+        {"step": None, "pose": None},
+        {"options": replace(pressed.options, tip_radius=1e-3)},
+    ):
+        inspector = Inspector()
+        first = inspector.answer(Question(pressed, False, comparison=True))
+        other = inspector.answer(Question(replace(pressed, **change), False, comparison=True))
+        assert other.trials is not first.trials
+
+
+def test_all_trials_are_made_from_the_state_of_one_tick(scene, pressed):
+    """What the comparison says of each rule is what that rule's own controller does next."""
+    compared = Inspector().answer(Question(pressed, False, comparison=True)).trials
+    for trial in compared.of:
+        controller = scenes.plant(scene, replace(pressed.options, rule=trial.rule)).controller
+        step = controller.step(pressed.pose.q, pressed.pose.target)
+        np.testing.assert_allclose(trial.p_tip, step.tip.translation, atol=1e-8)
+        assert trial.step == pytest.approx(
+            np.linalg.norm(step.tip.translation - compared.x), abs=1e-8
+        )
+
+
+@pytest.mark.parametrize("name", ["skull-coarse", "gear"])
+def test_a_ray_finds_the_first_triangle(name):
+    surface = meshes.load(name)
+    mesh = trimesh.Trimesh(1e3 * surface.vertices, surface.faces, process=False)
+    rng = np.random.default_rng(13)
+    found = 0
+    for _ in range(40):
+        o = surface.vertices.mean(axis=0) + surface.size * rng.normal(size=3)
+        aim = surface.vertices.mean(axis=0) + 0.3 * surface.size * rng.normal(size=3)
+        d = aim - o
+        triangle = pick(surface, o, 0.1 * d)
+        hits, _, ids = mesh.ray.intersects_location([1e3 * o], [d], multiple_hits=True)
+        if not len(hits):
+            assert triangle == -1
+            continue
+        along = (hits / 1e3 - o) @ d / np.linalg.norm(d)
+        first = set(ids[along < along.min() + 1e-9].tolist())
+        assert triangle in first
+        found += 1
+    assert found > 5
+    with pytest.raises(ValueError, match="finite"):
+        pick(surface, [np.nan, 0, 0], [0, 0, 1])
+    with pytest.raises(ValueError, match="direction"):
+        pick(surface, [0, 0, 0], [0, 0, 0])
+
+
+def test_the_thread_drops_old_questions_and_ends_when_nobody_asks():
+    done: list[int] = []
+    gate = threading.Event()
+
+    def answer(question: int) -> int:
+        gate.wait(5.0)
+        done.append(question)
+        return question
+
+    worker: Worker[int, int] = Worker("inspector", answer)
+    for question in range(100):
+        worker.ask(question)
+    gate.set()
+    wait_until(lambda: worker.newest() == 99)
+    assert len(done) <= 2
+    wait_until(lambda: not any(t.name == "inspector" for t in threading.enumerate()))
+    worker.ask(7)  # and starts anew
+    wait_until(lambda: worker.newest() == 7)
+
+
+def test_a_failing_answer_leaves_the_last_one_standing():
+    worker: Worker[int, float] = Worker("inspector", lambda q: 1.0 / q)
+    worker.ask(2)
+    wait_until(lambda: worker.newest() == 0.5)
+    worker.ask(0)
+    time.sleep(0.05)
+    assert worker.newest() == 0.5
+    worker.ask(4)
+    wait_until(lambda: worker.newest() == 0.25)
+
+
+def test_comparison_leaves_the_scenes_arm_alone(scene, pressed):
+    before = scene.arm.tip(scene.start).translation.copy()
+    comparison = Comparison(scene)
+    comparison.trials(scene.surface, pressed.x, RADIUS, pressed.options, pressed.pose)
+    assert comparison._arm is not scene.arm
+    assert (scene.arm.tip(scene.start).translation == before).all()

@@ -1,0 +1,304 @@
+"""Parts of the page that need no browser: keys, names, cameras, signals, the trail."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+import vf
+from app.control.messages import LoopStats, Telemetry
+from app.recording.rerun import run_headless
+from app.settings import Options
+from app.view import camera, help, keys, palette, signals, trail, who
+from app.view.depth import signed_distance
+from app.view.units import VIEW_SCALE
+
+
+def looking(eye: list[float], at: list[float]) -> np.ndarray:
+    """Quaternion wxyz of a level camera, +z forward, −y up."""
+    forward = np.array(at, dtype=float) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    R = np.column_stack([right, np.cross(forward, right), forward])
+    x, y, z, w = pin.Quaternion(R).coeffs()
+    return np.array([w, x, y, z])
+
+
+def test_nudges_go_where_the_viewer_sees_them_go() -> None:
+    # From the front (−y) looking along +y, and from the right (+x) looking along −x, both downward.
+    for eye, right, away in (
+        ([0.0, -1.0, 0.7], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
+        ([1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
+    ):
+        axes = keys.seen_from(looking(eye, [0.0, 0.0, 0.0]))
+        np.testing.assert_allclose(axes, np.column_stack([right, away, [0, 0, 1]]), atol=1e-12)
+
+
+def test_nudges_stay_orthonormal_however_the_camera_is_held() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        q = rng.normal(size=4)
+        axes = keys.seen_from(q / np.linalg.norm(q))
+        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+        assert (axes[:, 2] == [0.0, 0.0, 1.0]).all()
+
+
+def test_the_help_has_ten_lines() -> None:
+    assert len(help.LINES) == 10
+
+
+def text(html: str) -> str:
+    return re.sub(r"<[^>]*>", "", html)
+
+
+def test_clients_are_told_who_has_the_proxy() -> None:
+    assert who.line(0, 0, 1) == ""
+    assert "You are ■ client 3, one of 2" in text(who.line(2, None, 2))
+    assert "You (■ client 1) have the proxy" in text(who.line(0, 0, 2))
+    other = who.line(0, 4, 3)
+    assert "Another client is dragging: ■ client 5 has the proxy" in text(other)
+    assert palette.css(who.color(4)) in other
+    assert len({who.color(i) for i in range(6)}) == 6
+
+
+def test_signed_distance_is_negative_inside_only() -> None:
+    solid = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
+    surface = vf.Surface.from_arrays(solid.vertices, solid.faces)
+    assert signed_distance(surface, [0.0, 0.0, 0.012]) == pytest.approx(0.002, abs=1e-4)
+    assert signed_distance(surface, [0.0, 0.0, 0.007]) == pytest.approx(-0.003, abs=2e-4)
+    sheet = vf.Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    assert signed_distance(sheet, [0.1, 0.1, -0.2]) == pytest.approx(0.2)
+
+
+@pytest.fixture(scope="module")
+def telemetry() -> list[Telemetry]:
+    """The point pushed without a fixture from above a sphere into it."""
+    options = Options(mesh="sphere", robot="point", rule="off")
+    start = run_headless(options, [], 1)[0].step.tip
+    from app.control.messages import Command
+
+    goal = pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.02]))
+    return run_headless(options, [Command(goal, 1)], 150)
+
+
+@pytest.fixture(scope="module")
+def surface() -> vf.Surface:
+    from app.scene import scene
+
+    return scene.build(Options(mesh="sphere", robot="point"), 1).surface
+
+
+def test_a_sample_is_what_the_tick_says_in_the_plots_units(
+    telemetry: list[Telemetry], surface: vf.Surface
+) -> None:
+    assert signals.sample(replace(telemetry[0], step=None), surface) is None
+    last = replace(telemetry[-1], stats=LoopStats(tick_median=40e-6, tick_worst=90e-6))
+    values = signals.sample(last, surface)
+    assert values is not None
+    p = last.step.tip.translation
+    true = trimesh.proximity.signed_distance(
+        trimesh.Trimesh(surface.vertices * 1e3, surface.faces, process=False), [p * 1e3]
+    )[0]
+    assert true > 1.0, "trimesh counts the inside as positive; the tool must have gone in"
+    assert values[0] == pytest.approx(-true, abs=1e-6)
+    assert values[1] == pytest.approx(1e3 * np.linalg.norm(last.target.translation - p))
+    assert values[2] == pytest.approx(np.linalg.norm(last.step.force))
+    assert (values[3:6] == 0.0).all()
+    assert values[6:] == pytest.approx([40.0, 90.0])
+    assert len(values) == signals.CURVES
+
+
+def test_a_time_that_goes_back_begins_another_history() -> None:
+    history = signals.History()
+    for time in (1.0, 1.1, 1.2, 0.5):
+        history.add(time, np.full(signals.CURVES, time))
+    times, values = history.shown()
+    assert times.tolist() == [0.0]
+    assert (values == 0.5).all()
+
+
+def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
+    telemetry: list[Telemetry],
+) -> None:
+    from app.scene import scene
+
+    shown = scene.build(Options(mesh="sphere", robot="point", rule="off"), 1, warm=False)
+    stage: Any = MagicMock()
+    stage.screen.live = True
+    stage.session.options.rule = "certified"
+    tab = signals.Signals(stage)
+    tab.set_scene(shown)
+    tab._on.value = False
+    for shot in telemetry:
+        tab.frame(shot)
+    times, _ = tab._history.shown()
+    assert len(times) == 2, "150 ms at a sample each 100 ms"
+    plots = [SimpleNamespace(data=None) for _ in signals.PLOTS]
+    tab._plots = plots
+    tab.frame(telemetry[-1])
+    assert plots[0].data is None, "switched off, they stand still"
+    tab._on.value = True
+    switched = tab._on.on_update.call_args.args[0]
+    asyncio.run(switched(None))
+    tab.frame(telemetry[-1])  # of a paused loop: no new tick
+    assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with what was before"
+    stage.screen.live = False  # a replay begins
+    tab.frame(telemetry[0])
+    assert len(tab._history.shown()[0]) == 1
+
+
+def test_plots_of_several_curves_have_a_legend() -> None:
+    stage: Any = MagicMock()
+    signals.Signals(stage)
+    added = stage.server.gui.add_uplot.call_args_list
+    assert len(added) == len(signals.PLOTS)
+    for call, plot in zip(added, signals.PLOTS, strict=True):
+        assert call.kwargs["legend"]["show"] == (len(plot.curves) > 1)
+        assert [s["label"] for s in call.kwargs["series"][1:]] == [c.name for c in plot.curves]
+
+
+def test_the_plots_scroll_over_the_last_twenty_seconds() -> None:
+    history = signals.History()
+    times, values = history.shown()
+    assert len(times) == 1
+    assert (values == 0.0).all()
+    for k in range(3 * signals.LENGTH):
+        history.add(k * signals.PERIOD, np.full(signals.CURVES, float(k)))
+    times, values = history.shown()
+    assert times[-1] == 0.0
+    assert -signals.SPAN <= times[0] < -0.95 * signals.SPAN
+    assert (np.diff(times) > 0.0).all()
+    assert values[-1, 0] == 3 * signals.LENGTH - 1
+    history.add(3 * signals.LENGTH * signals.PERIOD + 15.0, np.zeros(signals.CURVES))
+    times, _ = history.shown()
+    assert times[0] >= -signals.SPAN, "a gap takes its time off the plot"
+    history.clear()
+    assert len(history.shown()[0]) == 1
+
+
+def test_the_trail_is_bounded_skips_jumps_and_keeps_the_newest() -> None:
+    path = trail.Path()
+    for k in range(2 * trail.LENGTH):
+        path.add(np.array([k * 1e-3, 0.0, 0.0]), -k * 1e-6)
+    assert path.count == trail.LENGTH
+    assert path.segments[-1, 1, 0] == pytest.approx((2 * trail.LENGTH - 1) * 1e-3)
+    np.testing.assert_allclose(path.segments[1:, 0], path.segments[:-1, 1])
+    last = path.segments[-1, 1].copy()
+    ahead = np.array([1.0, 0.0, 0.0])
+    assert not path.add(last + 0.1 * trail.SPACING * ahead, 0.0), "hardly moved"
+    assert not path.add(last + 2.0 * trail.JUMP * ahead, 0.0), "was put there"
+    assert path.add(last + (2.0 * trail.JUMP + 1e-3) * ahead, 0.0)
+    assert np.linalg.norm(np.diff(path.segments[-1], axis=0)) == pytest.approx(1e-3)
+    path.lift()
+    assert not path.add(last, 0.0)
+    path.clear()
+    assert path.count == 0
+
+
+def test_the_trail_gets_darker_with_depth_and_is_told_from_the_outside() -> None:
+    depths = np.linspace(0.0, 2.0 * trail.DEEP, 9)
+    shades = trail.colors(-depths[1:]).astype(float)
+    lightness = shades @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(lightness[:4]) < -10.0).all()
+    assert (np.diff(lightness[4:]) == 0.0).all(), "no darker than the darkest"
+    outside = trail.colors(np.array([0.0, 1e-3]))
+    assert (outside == palette.SKY).all()
+
+
+class Camera(SimpleNamespace):
+    """What `Following` and `move` touch of viser's; a position takes what is looked at along."""
+
+
+def client_at(eye: list[float], at: list[float]) -> Any:
+    from contextlib import nullcontext
+
+    return SimpleNamespace(
+        camera=Camera(position=np.array(eye), look_at=np.array(at)), atomic=nullcontext
+    )
+
+
+def test_a_following_camera_keeps_the_tool_in_its_middle_and_its_own_distance() -> None:
+    following = camera.Following()
+    client = client_at([0.0, -10.0, 5.0], [0.0, 0.0, 0.0])
+    following.start(7, np.zeros(3))
+    following.update({7: client}, np.array([1e-6, 0.0, 0.0]))
+    assert (client.camera.look_at == 0.0).all(), "less than a pixel"
+    tip = np.array([0.01, 0.02, -0.005])
+    following.update({7: client}, tip)
+    np.testing.assert_allclose(client.camera.look_at, VIEW_SCALE * tip)
+    away = client.camera.position - client.camera.look_at
+    np.testing.assert_allclose(away, [0.0, -10.0, 5.0])
+    # A stale report of the client's, then another motion: no drift comes of it.
+    client.camera.position, client.camera.look_at = np.array([0.0, -10.0, 5.0]), np.zeros(3)
+    following.update({7: client}, 2.0 * tip)
+    np.testing.assert_allclose(client.camera.look_at, 2.0 * VIEW_SCALE * tip)
+    following.stop(7)
+    following.update({7: client}, np.zeros(3))
+    np.testing.assert_allclose(client.camera.look_at, 2.0 * VIEW_SCALE * tip)
+    following.start(8, np.zeros(3))
+    following.update({}, np.ones(3))
+    assert following.clients == (), "who is gone is not followed"
+
+
+def test_the_surgeon_looks_down_along_the_instrument(telemetry: list[Telemetry]) -> None:
+    step = telemetry[-1].step
+    for R in (pin.rpy.rpyToMatrix(np.pi, 0.0, 0.0), pin.rpy.rpyToMatrix(0.6 + np.pi, 0.3, 0.0)):
+        view = camera.surgeon_view(replace(step, tip=pin.SE3(R, np.array([0.1, 0.0, 0.2]))))
+        forward = (view.look_at - view.eye) / np.linalg.norm(view.look_at - view.eye)
+        angle = np.rad2deg(np.arccos(forward @ R[:, 2]))
+        assert 25.0 < angle < 45.0
+        assert view.eye[2] > view.look_at[2]
+        np.testing.assert_allclose(view.look_at, [0.1, 0.0, 0.2])
+
+
+# Linear RGB as it is seen without one kind of cones: Machado, Oliveira, Fernandes 2009, severity 1.
+BLINDNESS = {
+    "none": np.eye(3),
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanopia": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+def seen(color: palette.Rgb, kind: str) -> np.ndarray:
+    """CIE L*a*b* (3,) of an sRGB colour as somebody sees it."""
+    c = np.array(color) / 255.0
+    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    linear = np.clip(np.array(BLINDNESS[kind]) @ linear, 0.0, 1.0)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    xyz = np.array(to_xyz) @ linear / [0.9505, 1.0, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("kind", list(BLINDNESS))
+def test_the_colours_of_the_rules_are_told_apart(kind: str) -> None:
+    for a, b in itertools.combinations(palette.LOOKS, 2):
+        apart = np.linalg.norm(
+            seen(palette.LOOKS[a].color, kind) - seen(palette.LOOKS[b].color, kind)
+        )
+        assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 can just be told apart
