@@ -28,7 +28,8 @@ class CorridorControl:
         self._screen = stage.screen
         self._api = stage.server.scene
         self._drawn: tuple[int, float | None] | None = None
-        self._named = (-1, 0)  # version of the scene, end of the path that the label is at
+        self._name = stage.labels.add("/corridor/name", "planned cut", anchor="top-left")
+        self._end = 0  # of the path that the label is at
         kind = number("corridor")
         low, high = kind.low * kind.shown, kind.high * kind.shown
         with stage.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
@@ -46,7 +47,7 @@ class CorridorControl:
     def set_scene(self, scene: Scene) -> None:
         self._folder.visible = scene.planned_path is not None
         self._drawn = None
-        self._named = (-1, 0)
+        self._name.visible = False
 
     def frame(self, telemetry: Telemetry) -> None:
         shown = self._screen.shown
@@ -100,19 +101,11 @@ class CorridorControl:
     def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
         """The label, at the end of the path that is farther from the tip and its labels."""
         path = scene.planned_path
-        ends = np.zeros((2, 3)) if path is None else path[[0, -1]]
-        end = far_end(ends, p_tip, self._named[1])
-        if self._named == (scene.version, end):
-            return
-        self._named = (scene.version, end)
-        self._api.add_label(
-            "/corridor/name",
-            "planned cut",
-            position=to_view(ends[end]),
-            anchor="top-left",
-            font_screen_scale=0.8,
-            visible=path is not None,
-        )
+        self._name.visible = path is not None
+        if path is not None:
+            ends = path[[0, -1]]
+            self._end = far_end(ends, p_tip, self._end)
+            self._name.position = to_view(ends[self._end])
 
     def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
         visible = corners is not None

@@ -7,13 +7,14 @@ import viser
 
 from app.control.watch import Crossing
 from app.view import palette
+from app.view.labels import Labels
 from app.view.units import to_view
 
 
 class CrossingMark:
     """A dot and a label at the first crossing, until the tool is reset or the scene is changed."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._dot = api.add_point_cloud(
             "/crossing/dot",
             points=np.zeros((1, 3), dtype=np.float32),
@@ -22,9 +23,7 @@ class CrossingMark:
             point_shape="circle",
             visible=False,
         )
-        self._label = api.add_label(
-            "/crossing/label", "", anchor="top-left", font_screen_scale=0.8, visible=False
-        )
+        self._label = labels.add("/crossing/label", anchor="top-left")
         self._shown: Crossing | None = None
 
     def update(self, crossing: Crossing | None) -> None:

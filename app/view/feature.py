@@ -17,6 +17,7 @@ from app.view.camera import Following
 from app.view.escape import Escape
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand, Tell
+from app.view.labels import Labels
 from app.view.proxy import Proxy
 from app.view.screen import Screen
 from app.view.uploads import Uploads
@@ -39,6 +40,7 @@ class Stage:
         escape: what the Escape key closes; dialogs of a part say there that they are open.
         following: whose cameras follow the tool.
         screen: what is shown; a part may put something else there than the session.
+        labels: whatever is written in the scene.
         library: the mesh files that can be chosen.
         uploads: takes files that come through a part's upload button.
         scenario: what the page was started with, if anything.
@@ -55,6 +57,7 @@ class Stage:
     escape: Escape
     following: Following
     screen: Screen
+    labels: Labels
     library: Library
     uploads: Uploads
     scenario: Scenario | None = None

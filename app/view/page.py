@@ -33,6 +33,7 @@ from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
 from app.view.inspector import InspectorTab
 from app.view.keys import Keys
+from app.view.labels import Labels
 from app.view.measuring import Measuring
 from app.view.mesh_tab import MeshTab
 from app.view.panel import WHO, Panel, Readouts
@@ -105,12 +106,13 @@ class Page:
         self._screen = Screen(session)
         self._scene_version = -1
         self._anatomy = Anatomy(api)
-        self._rulers = Rulers(api)
+        self._labels = Labels(server)
+        self._rulers = Rulers(api, self._labels)
         self._arm = ArmDrawing(api)
-        self._fixture = FixtureDrawing(api)
-        self._tool = Tool(api)
-        self._crossing = CrossingMark(api)
-        self._proxy = Proxy(api, session.handle)
+        self._fixture = FixtureDrawing(api, self._labels)
+        self._tool = Tool(api, self._labels)
+        self._crossing = CrossingMark(api, self._labels)
+        self._proxy = Proxy(api, self._labels, session.handle)
         self._hand = Hand(session, server, self._proxy, self._tell)
         self._following = camera.Following()
         self._escape = Escape(server, self._hand)
@@ -145,6 +147,7 @@ class Page:
             self._escape,
             self._following,
             self._screen,
+            self._labels,
             library,
             Uploads(server, self._tell),
             scenario,
@@ -283,6 +286,7 @@ class Page:
                 camera.keep_depth(client)
             for feature in self._features:
                 feature.frame(telemetry)
+            self._labels.place(clients)
 
     def _handle(self, telemetry: Telemetry) -> pin.SE3:
         """Where the gizmo is: in the autopilot's hand or in the operator's."""

@@ -8,6 +8,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.view import palette
+from app.view.labels import Labels
 from app.view.units import pose_to_view, to_buffer, to_view
 
 GIZMO_SIZE = 62.0  # length of its arrows [px]
@@ -18,7 +19,7 @@ class Proxy:
     """The gizmo is the master's handle. With scale 1 and no clutch it is the proxy itself;
     otherwise the proxy is drawn apart, as a ball."""
 
-    def __init__(self, api: viser.SceneApi, handle: pin.SE3) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels, handle: pin.SE3) -> None:
         wxyz, position = pose_to_view(handle)
         self.gizmo = api.add_transform_controls(
             "/proxy/gizmo",
@@ -30,13 +31,7 @@ class Proxy:
             wxyz=wxyz,
             position=position,
         )
-        self._name = api.add_label(
-            "/proxy/gizmo_name",
-            "proxy",
-            position=position,
-            anchor="top-right",
-            font_screen_scale=0.8,
-        )
+        self._name = labels.add("/proxy/gizmo_name", anchor="top-right")
         self._ball = api.add_point_cloud(
             "/proxy/ball",
             points=np.zeros((1, 3), dtype=np.float32),
@@ -45,9 +40,7 @@ class Proxy:
             point_shape="circle",
             visible=False,
         )
-        self._ball_name = api.add_label(
-            "/proxy/ball_name", "proxy", anchor="bottom-right", font_screen_scale=0.8, visible=False
-        )
+        self._ball_name = labels.add("/proxy/ball_name", "proxy", anchor="bottom-right")
         self._tether = api.add_line_segments(
             "/proxy/tether",
             points=np.zeros((1, 2, 3), dtype=np.float32),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from app.view import palette
 from app.view.camera import DIRECTION
+from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 
 FORCE_LENGTH = 0.005  # arrow length for each newton [m]: 3 N stay below the scale bar
@@ -20,7 +21,7 @@ ASIDE = 0.0065
 class Tool:
     """A dot at the tip (the tip's ball if it has a radius), and the force arrow."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._dot = api.add_point_cloud(
             "/tool/dot",
             points=np.zeros((1, 3), dtype=np.float32),
@@ -40,9 +41,7 @@ class Tool:
             head_length=0.25,
             visible=False,
         )
-        self._label = api.add_label(
-            "/tool/force_label", "", anchor="bottom-right", font_screen_scale=0.8, visible=False
-        )
+        self._label = labels.add("/tool/force_label", anchor="bottom-right")
         self._show_force = True
 
     def show_force(self, visible: bool) -> None:

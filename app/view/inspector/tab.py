@@ -51,8 +51,8 @@ class InspectorTab:
         self._stage = stage
         self._scene = stage.session.scene
         self._worker: Worker[Question, Inspection] = Worker("inspector", Inspector().answer)
-        self._near = NearDrawing(stage.server.scene)
-        self._probe = Probe(stage.server.scene)
+        self._near = NearDrawing(stage.server.scene, stage.labels)
+        self._probe = Probe(stage.server.scene, stage.labels)
         self._on = False
         self._drawn: tuple[Inspection, int] | None = None
         self._asked = 0.0  # when [s]
