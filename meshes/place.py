@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import fast_simplification
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.errors import MeshError
-from meshes.thin import thin
 
 FloatArray = NDArray[np.float64]
 
@@ -158,14 +158,18 @@ def display(
     thousand triangles, so where the mesh is too large to be drawn as it is, a light copy does.
     Quadric decimation keeps the shape within a fraction of an edge; degenerate leftovers do not
     matter to a drawing. A mesh that will not shrink (open edges everywhere) is thinned by dropping
-    triangles evenly, so that the limit always holds.
+    triangles evenly, so that the limit always holds. Decimation holds Python's interpreter for as
+    long as it works, seconds for a million triangles: beside a control loop, call this in another
+    process.
     """
     if limit < 4:
         raise ValueError(f"limit must be at least 4 triangles, not {limit}")
     if len(faces) <= max(limit, exact):
         return Display(vertices, faces, False)
-    thinned = thin(vertices, faces, limit)
-    if thinned is None or not 0 < len(thinned[1]) <= limit:
+    thin_vertices, thin_faces = fast_simplification.simplify(
+        vertices, faces.astype(np.int32), target_count=limit
+    )
+    if not 0 < len(thin_faces) <= limit:
         keep = np.linspace(0, len(faces) - 1, limit).astype(np.int64)
         return Display(vertices, faces[keep], True)
-    return Display(*thinned, True)
+    return Display(thin_vertices.astype(np.float64), thin_faces.astype(np.int64), True)

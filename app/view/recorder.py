@@ -41,7 +41,8 @@ class RecordTab:
 
     def __init__(self, stage: Stage) -> None:
         self._stage, self._session, self._tell = stage, stage.session, stage.tell
-        self._busy = threading.Lock()  # opening a recording, or taking pictures
+        self._busy = threading.Lock()  # one order of this tab at a time
+        self._opening = False  # a replay is being built: the button stops that
         self._replaying = Replaying(stage)
         self._said = ""
         self._doing = ""  # what takes long just now
@@ -66,7 +67,16 @@ class RecordTab:
             )
             Pictures(stage, self._bind, self._take_time)
         self._bind(self._record, self._toggle)
-        self._bind(self._open, self._start)
+
+        # A plain function, as in `_bind`.
+        @self._open.on_click
+        def _replay(event: viser.GuiEvent[Any]) -> None:
+            client = event.client
+            if self._opening:
+                self._session.work.stop()
+            elif client is not None:
+                self._try(client, lambda: self._start(client))
+
         for button, job in zip(
             self._others, (self._send, self._ask_name, self._ask_to_delete), strict=True
         ):
@@ -92,6 +102,9 @@ class RecordTab:
         if self._record.label != label:
             self._record.label = label
             self._record.icon = viser.Icon.PLAYER_STOP if going else viser.Icon.PLAYER_RECORD
+        label = "Stop opening" if self._opening else "Replay"
+        if self._open.label != label:
+            self._open.label = label
         if tape is not None:
             text = f"Recording: {tape.rows:,} ticks." if going else tape.outcome
             color = palette.VERMILION if going or tape.note else palette.BLACK
@@ -118,10 +131,16 @@ class RecordTab:
         path = self._chosen()
         doing = f"Opening {path.name}"
         self._take_time(f"{doing} …")
+
+        def say(text: str) -> None:
+            self._take_time(f"{doing}: {text} …")
+
         with self._session.work.begin() as stop:
-            self._replaying.show(
-                path.stem, read(path), lambda text: self._take_time(f"{doing}: {text} …"), stop
-            )
+            self._opening = True
+            try:
+                self._replaying.show(path.stem, read(path), say, stop)
+            finally:
+                self._opening = False
 
     def _send(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
