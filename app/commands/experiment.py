@@ -17,7 +17,6 @@ from app import choices, limits
 from app.commands import answer, interrupted, one_of
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.interrupts import interrupts
 from app.limits import Limit, OneOf, Whole
 from app.settings import LIMITS, Length, OptionError, named, parse_as
 from app.studies.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
@@ -282,7 +281,7 @@ def _calibrate(options: Calibrate, console: Console) -> int:
 
 
 def _replay(options: Replay, console: Console) -> int:
-    from app.serving import bind_problem
+    from app.serving import attend, bind_problem
     from app.session import Session
     from app.studies.experiments import playback, protocol
     from app.view.page import Page
@@ -307,17 +306,12 @@ def _replay(options: Replay, console: Console) -> int:
         page = Page(session, options.host, options.port)
         try:
             session.set_autopilot(True)
-            with interrupts() as wait:
-                console.print(
-                    f"{escape(trial.key)}: {recorded.outcome.duration:.0f} s. "
-                    f"Open [bold]{page.url}[/] (Ctrl-C ends); reset and switch the autopilot on "
-                    "to see it again",
-                    soft_wrap=True,
-                )
-                if page.warning:
-                    console.print(escape(page.warning), soft_wrap=True)
-                wait()
-                console.print("Closing.")
+            attend(
+                page,
+                console,
+                f"{trial.key}: {recorded.outcome.duration:.0f} s",
+                more="; reset and switch the autopilot on to see it again",
+            )
         finally:
             page.close()
     return 0

@@ -6,11 +6,13 @@ import numpy as np
 import viser
 
 from app.control.watch import Crossing
+from app.recording.playback import Moment
 from app.view import palette
+from app.view.part import Clients, Part
 from app.view.units import to_view
 
 
-class CrossingMark:
+class CrossingMark(Part):
     """A dot and a label at the first crossing, until the tool is reset or the scene is changed."""
 
     def __init__(self, api: viser.SceneApi) -> None:
@@ -26,6 +28,10 @@ class CrossingMark:
             "/crossing/label", "", anchor="top-left", font_screen_scale=0.8, visible=False
         )
         self._shown: Crossing | None = None
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Mark the crossing that there is."""
+        self.update(shown.crossing)
 
     def update(self, crossing: Crossing | None) -> None:
         """Show this crossing; None: there is none."""

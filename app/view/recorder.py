@@ -13,14 +13,14 @@ import platformdirs
 import viser
 
 from app import files
-from app.control.messages import Telemetry
 from app.recording.format import SUFFIX
 from app.recording.outline import outline
+from app.recording.playback import Moment
 from app.recording.read import read, under_way
 from app.refused import Refused
-from app.scene.scene import Scene
 from app.view import dialogs, palette
-from app.view.feature import Stage
+from app.view.context import PageContext
+from app.view.part import Clients, Part
 from app.view.pictures import Pictures
 from app.view.replaying import Replaying
 
@@ -36,21 +36,21 @@ def folder() -> Path:
     return platformdirs.user_data_path("vf-sandbox") / "recordings"
 
 
-class RecordTab:
+class RecordTab(Part):
     """Record and list; a replay has controls of its own, see `replaying`."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage, self._session, self._tell = stage, stage.session, stage.tell
+    def __init__(self, context: PageContext) -> None:
+        self._context, self._session, self._tell = context, context.session, context.tell
         self._busy = threading.Lock()  # one order of this tab at a time
         self._opening = False  # a replay is being built: the button stops that
-        self._replaying = Replaying(stage)
+        self._replaying = Replaying(context)
         self._said = ""
         self._doing = ""  # what takes long just now
         self._moved: set[Path] = set()  # where files were that were renamed or deleted since
         self._wanted = ""  # what is to be chosen in the list once it is there
         self._described: tuple[Any, ...] = ()  # what is said of a recording is of this file
-        gui = stage.server.gui
-        with stage.left.add_tab("Record"):
+        gui = context.server.gui
+        with context.left.add_tab("Record"):
             self._record = gui.add_button(
                 "Record", hint="Keep every order and tick in a file.", icon=viser.Icon.PLAYER_RECORD
             )
@@ -65,7 +65,7 @@ class RecordTab:
                 gui.add_button("Rename", icon=viser.Icon.EDIT),
                 gui.add_button("Delete recording", icon=viser.Icon.TRASH, color="gray"),
             )
-            Pictures(stage, self._bind, self._take_time)
+            Pictures(context, self._bind, self._take_time)
         self._bind(self._record, self._toggle)
 
         # A plain function, as in `_bind`.
@@ -83,14 +83,11 @@ class RecordTab:
             self._bind(button, job)
         self._refresh()
 
-    def set_scene(self, scene: Scene) -> None:
-        """A replay brings its own."""
-
-    def frame(self, telemetry: Telemetry) -> None:
+    def frame(self, shown: Moment, clients: Clients) -> None:
         """The screen has asked the replay already."""
         self._replaying.frame()
 
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         """How the recording goes, and where the replay is."""
         tape = self._session.tape
         going = tape is not None and tape.running
@@ -165,7 +162,7 @@ class RecordTab:
 
         dialogs.ask_name(
             client,
-            self._stage.escape,
+            self._context.escape,
             "Rename the recording",
             path.stem,
             "Rename",
@@ -181,7 +178,7 @@ class RecordTab:
 
         dialogs.ask(
             client,
-            self._stage.escape,
+            self._context.escape,
             "Delete the recording?",
             f"{path.name}, {files.size(path.stat().st_size)}. It cannot be brought back.",
             "Delete",
