@@ -15,7 +15,7 @@ from meshes.errors import MeshError
 FloatArray = NDArray[np.float64]
 
 GAP = 0.015  # [m] of free space between the tip and the side to be worked on
-FARTHEST = 2.0  # [m] of a mesh's origin from the arm's base; farther is a slip of the unit
+FARTHEST_MESH = 2.0  # [m] of a mesh's origin from the arm's base; farther is a slip of the unit
 # Turns that bring one of a mesh's own axes to +z, where the tool comes from. About x wherever
 # that can be, so that left and right stay.
 _UP: dict[str, FloatArray] = {
@@ -60,7 +60,7 @@ class Placement:
         up: the mesh's own axis that faces the tool, one of `UPS`.
 
     Raises:
-        MeshError: not finite, ``at`` farther than `FARTHEST`, an unknown axis.
+        MeshError: not finite, ``at`` farther than `FARTHEST_MESH`, an unknown axis.
     """
 
     at: tuple[float, float, float] | None = None
@@ -75,10 +75,10 @@ class Placement:
                 continue
             if len(value) != 3 or not all(math.isfinite(number) for number in value):
                 raise MeshError(f"{name} must be three finite numbers, not {value}")
-        if self.at is not None and math.hypot(*self.at) > FARTHEST:
+        if self.at is not None and math.hypot(*self.at) > FARTHEST_MESH:
             raise MeshError(
-                f"at {', '.join(f'{x:g} m' for x in self.at)} is more than {FARTHEST:g} m from the "
-                "arm's base: is the unit right?"
+                f"at {', '.join(f'{x:g} m' for x in self.at)} is more than {FARTHEST_MESH:g} m "
+                "from the arm's base: is the unit right?"
             )
 
     @property

@@ -41,7 +41,7 @@ class Runtime:
     sizes: tuple[int, ...] = SIZES
     """Triangles of the rungs. The largest is made first, the others are decimated from it."""
     ticks: int = 2400
-    """Ticks of each row and pass, 200 for each spot of the course, which has twelve."""
+    """Ticks of each row and pass, 200 for each spot of the route, which has twelve."""
     passes: int = 3
     """How often the whole ladder is gone through, so that a change of load meets every row."""
     budget: float = 5.0

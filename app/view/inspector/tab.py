@@ -33,7 +33,7 @@ ASK = 0.08  # shortest time between two questions to the thread [s]
 HERE = "this anatomy"
 BACK, MAIN, ON = "◀", "Main", "▶"
 RULES = ("paper", "certified", "all")  # whose planes are shown at the probe
-FARTHEST = 2.0  # a probe farther than this from the base is a mistake [m]
+FARTHEST_PROBE = 2.0  # a probe farther than this from the base is a mistake [m]
 
 _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-soft)"
 _INTRO = (
@@ -137,8 +137,8 @@ class InspectorTab(Part):
         self._list.content = words.nearest(inspection, chosen)
         self._solid.content = words.region(inspection) if self._region else ""
         self._rules.content = (
-            words.comparison(inspection.trials)
-            if inspection.trials is not None and self._comparing
+            words.comparison(inspection.forecasts)
+            if inspection.forecasts is not None and self._comparing
             else ""
         )
 
@@ -363,7 +363,7 @@ class InspectorTab(Part):
             x = pose_from_view(wxyz, position).translation
         except ValueError:
             return
-        if self._exploring and float(np.linalg.norm(x)) < FARTHEST:
+        if self._exploring and float(np.linalg.norm(x)) < FARTHEST_PROBE:
             self._probe_at = np.array(x)
 
 
