@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import ast
-import importlib
-import importlib.util
-import pkgutil
 import sys
-import textwrap
 
-import app.commands
 from app.choices import check_mesh
-from app.commands import answer
+from app.commands import COMMANDS, answer, call, listing, one_of
 from app.console import closing, prepare
+from app.options import parse_as
 from app.scenarios.file import Scenario
 from app.scenarios.presets import find
-from app.settings import OptionError, Options, parse
+from app.settings import Options
+from app.words import OptionError
 
-ABOUT = """Drag a simulated surgical tool over anatomy; virtual fixtures keep it out.
+ABOUT = f"""Drag a simulated surgical tool over anatomy; virtual fixtures keep it out.
 
 Starts the control loop and a page for the browser, and prints the page's address; or runs one of
 the commands:
-"""
-EXAMPLES = """
+
+{listing(COMMANDS)}
+
 Examples:
   vf-sandbox --mesh gear --rule paper --radius 0.5mm
   vf-sandbox --scenario slide-into-the-orbit --open
@@ -44,7 +41,10 @@ def run(words: list[str]) -> int:
         try:
             if words and not words[0].startswith("-"):
                 program = f"vf-sandbox {words[0]}"
-                return _command(words[0], words[1:])
+                more = "; without one the page starts"
+                return answer(
+                    "vf-sandbox", lambda: call(one_of(COMMANDS, words[0], more), words[1:])
+                )
             if words == ["--version"]:
                 import vf
 
@@ -67,51 +67,14 @@ def _page(words: list[str]) -> int:
 
 def _wanted(words: list[str]) -> tuple[Options, Scenario | None]:
     """What the words say, where they say nothing the scenario they name."""
-    about = _about()
-    options = parse(words, about)
+    options = parse_as(Options, "vf-sandbox", words, ABOUT)
     if options.scenario is None:
         return options, None
     scenario = find(options.scenario)
-    options = parse(words, about, scenario.applied(Options()))
+    options = parse_as(Options, "vf-sandbox", words, ABOUT, scenario.applied(Options()))
     if options.mesh != scenario.options.mesh:
         raise OptionError(
             f"--mesh {options.mesh} with --scenario {options.scenario}: the scenario is made for "
             f"the mesh {scenario.options.mesh}; leave one of the two out"
         )
     return options, scenario
-
-
-def _command(name: str, rest: list[str]) -> int:
-    known = _commands()
-    if name not in known:
-
-        def refuse() -> int:
-            raise OptionError(
-                f"unknown command '{name}': the commands are {', '.join(known)}; without one the "
-                "page starts"
-            )
-
-        return answer("vf-sandbox", refuse)
-    return int(importlib.import_module(f"app.commands.{name}").main(rest))
-
-
-def _about() -> str:
-    """The help text: what the page is, and a line for each command, read without importing it."""
-    lines = [ABOUT]
-    for name in _commands():
-        spec = importlib.util.find_spec(f"app.commands.{name}")
-        source = spec.loader.get_source(spec.name) if spec else None  # type: ignore[union-attr]
-        doc = ast.get_docstring(ast.parse(source or "")) or ""
-        lines.append(
-            textwrap.fill(
-                doc.splitlines()[0] if doc else "",
-                width=79,
-                initial_indent=f"  {name:11} ",
-                subsequent_indent=" " * 14,
-            )
-        )
-    return "\n".join([*lines, EXAMPLES])
-
-
-def _commands() -> list[str]:
-    return sorted(module.name for module in pkgutil.iter_modules(app.commands.__path__))

@@ -17,7 +17,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from app.console import console as new_console
 from app.interrupts import interrupts
 from app.scenarios.file import Scenario
-from app.settings import OptionError, Options, format_length
+from app.settings import Options
+from app.words import OptionError, format_length
 
 if TYPE_CHECKING:
     from app.view.page import Page

@@ -14,7 +14,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 import robots
-import vf
 from app.control.autopilot import Script
 from app.control.engine import Orders
 from app.control.loop import ControlLoop
@@ -22,15 +21,18 @@ from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
 from app.control.watch import Crossing, Watch
 from app.devices.page import PageMaster, checked_pose
+from app.kinds import Number
+from app.options import Scope
 from app.recording.capture import Tape
 from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.scene.work import Work
-from app.settings import MESH, OptionError, Options, in_range
+from app.settings import DECLARED, MESH, Options, kind_of
 
 DEFAULTS = Options()
+LIVE = (Scope.FIXTURE, Scope.TELEOPERATION)  # of options that are set while a session runs
 
 
 class Session:
@@ -290,62 +292,40 @@ class Session:
             self._to_start()
             self._command(autopilot=True, plant=plant, resets=self._orders.resets + 1)
 
-    # What the operator sets; every setter returns the value really taken
+    def set(self, **changes: Any) -> Options:
+        """Change options of the fixture and of teleoperation; returns those then in force.
 
-    def set_rule(self, name: str) -> str:
-        """Which planes guard the tool. Refuses names other than `vf.RULES`."""
-        if name not in vf.RULES:
-            raise Refused(f"unknown rule '{name}': choose one of {', '.join(vf.RULES)}")
-        return self._set(rule=name).rule
+        A number out of range is clamped. Where teleoperation changes the proxy does not jump.
 
-    def set_radius(self, radius: float | None) -> float | None:
-        """Radius of the motion sphere [m]; None takes the largest step of a tick."""
-        return self._set(radius=None if radius is None else _clamped("radius", radius)).radius
-
-    def set_force_gain(self, gain: float) -> float:
-        """Haptic stiffness [N/m]."""
-        return self._set(force_gain=_clamped("force_gain", gain)).force_gain
-
-    def set_standoff(self, standoff: float) -> float:
-        """Distance the tool keeps from the surface [m]."""
-        return self._set(standoff=_clamped("standoff", standoff)).standoff
-
-    def set_tip_radius(self, radius: float) -> float:
-        """Radius of the tool's spherical tip [m]."""
-        return self._set(tip_radius=_clamped("tip_radius", radius)).tip_radius
-
-    def set_corridor(self, width: float | None) -> float | None:
-        """How far the tool may leave the planned path [m]; None lets it go anywhere.
-
-        A width that the path's bends do not allow is refused.
+        Raises:
+            Refused: an option that is none of these, a value that is unknown or not a number, a
+                corridor without a planned path or wider than its bends allow.
         """
-        if width is not None:
-            width = _clamped("corridor", width)
-            if self.scene.planned_path is None:
-                raise Refused("no path is planned on this mesh: there is no corridor")
-        try:
-            return self._set(corridor=width).corridor
-        except ValueError as error:
-            raise Refused(str(error)) from None
-
-    def set_scale(self, scale: float) -> float:
-        """Proxy movement per handle movement, from here on: the proxy does not jump."""
         with self._turn():
-            scale = _clamped("scale", scale)
-            self.options = replace(self.options, scale=scale)
-            self._remap()
-            return scale
-
-    def set_orientation_lock(self, on: bool) -> bool:
-        """Keep the proxy's present orientation, whatever the handle's is; off: no jump either."""
-        with self._turn():
-            self.options = replace(self.options, lock_orientation=bool(on))
-            self._remap()
-            return bool(on)
-
-    def set_tip_speed(self, speed: float) -> float:
-        """Fastest motion of the tool's tip [m/s]; a property of every tick from the next one on."""
-        return self._set(tip_speed=_clamped("tip_speed", speed)).tip_speed
+            orders: dict[str, Any] = {}
+            changed = set()
+            try:
+                for name, value in changes.items():
+                    if name not in DECLARED or DECLARED[name].scope not in LIVE:
+                        raise Refused(f"{name} is nothing that is set while a session runs")
+                    kind = kind_of(name)
+                    if isinstance(kind, Number) and value is not None:
+                        changes[name] = kind.clamped(name, value)
+                    if changes[name] != getattr(self.options, name):
+                        changed.add(DECLARED[name].scope)
+                if changes.get("corridor") is not None and self.scene.planned_path is None:
+                    raise Refused("no path is planned on this mesh: there is no corridor")
+                options = replace(self.options, **changes)
+                if Scope.FIXTURE in changed:
+                    orders["plant"] = scenes.plant(self.scene, options)
+            except ValueError as error:
+                raise Refused(str(error)) from None
+            self.options = options
+            if orders:
+                self._order(**orders)
+            if Scope.TELEOPERATION in changed:
+                self._remap()
+            return options
 
     def change(
         self,
@@ -444,26 +424,9 @@ class Session:
         """What the master says, together with other changes that must be seen at the same tick."""
         self._order(command=self.master.command(self._orders.command.sequence + 1), **changes)
 
-    def _set(self, **changes: Any) -> Options:
-        """New settings through a new plant; the numbers were clamped before."""
-        with self._turn():
-            options = replace(self.options, **changes)
-            if options != self.options:
-                plant = scenes.plant(self.scene, options)
-                self.options = options
-                self._order(plant=plant)
-            return options
-
     def _tool(self) -> pin.SE3:
         """The tool's pose as last seen."""
         telemetry = self.latest()
         if telemetry.step is None or telemetry.scene != self.scene.version:
             return pin.SE3(self.scene.T_base_start)
         return pin.SE3(telemetry.step.tip)
-
-
-def _clamped(name: str, value: float) -> float:
-    try:
-        return in_range(name, value)
-    except OptionError as error:
-        raise Refused(str(error)) from None

@@ -40,28 +40,8 @@ def parse_length(text: str) -> float:
     )
 
 
-def parse_radius(text: str) -> float | None:
-    """The motion sphere's radius [m]; None for `auto` (maximum tip speed times the tick)."""
-    if text.strip().lower() == "auto":
-        return None
-    try:
-        return parse_length(text)
-    except OptionError as error:
-        raise OptionError(f"{error}; or write auto") from None
-
-
-def parse_corridor(text: str) -> float | None:
-    """Half the corridor's width [m]; None for `off`."""
-    if text.strip().lower() == "off":
-        return None
-    try:
-        return parse_length(text)
-    except OptionError as error:
-        raise OptionError(f"{error}; or write off") from None
-
-
 def format_length(value: float | None) -> str:
-    """The shortest text that `parse_radius` reads back as the same length, in mm or um."""
+    """The shortest text that reads back as about the same length, in mm or um; auto for None."""
     if value is None:
         return "auto"
     for scale, unit in ((1e-3, "mm"), (1e-6, "um")):
@@ -86,22 +66,15 @@ def format_speed(value: float) -> str:
     return f"{value * 1e3:.6g}mm/s"
 
 
-def parse_point(text: str) -> tuple[float, float, float] | None:
-    """Three lengths [m] with commas between them, such as `0,-1cm,-12cm`; None for `auto`."""
-    if text.strip().lower() == "auto":
-        return None
+def parse_place(text: str) -> tuple[float, float, float]:
+    """Three lengths [m] with commas between them, such as `0,-1cm,-12cm`."""
     words = text.split(",")
     if len(words) != 3:
         raise OptionError(
             f"'{text}' is not a place: write x,y,z as three lengths without spaces, "
-            "such as 0,-1cm,-12cm; or write auto"
+            "such as 0,-1cm,-12cm"
         )
     return parse_length(words[0]), parse_length(words[1]), parse_length(words[2])
-
-
-def format_point(value: tuple[float, float, float] | None) -> str:
-    """The text that `parse_point` reads back as the same place."""
-    return "auto" if value is None else ",".join(map(format_length, value))
 
 
 def parse_turn(text: str) -> tuple[float, float, float]:

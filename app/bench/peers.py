@@ -21,7 +21,7 @@ from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
 from app.bench.tools.reference import leak
 from app.bench.tools.settings import Peers
-from app.settings import format_length
+from app.words import format_length
 from meshes.builtin import ladder
 
 FloatArray = NDArray[np.float64]

@@ -1,20 +1,96 @@
-"""Subcommands of `vf-sandbox`: one module each, found by name, imported only when asked for.
+"""The commands of `vf-sandbox`: one module each, imported only when it is asked for.
 
-A module offers `main(arguments: list[str]) -> int`, given the words after its name; what it
-returns is the exit code. The first line of its docstring is its line in `vf-sandbox --help`.
+A module has `KINDS`: for each kind of the command the dataclass of its options, whose docstring is
+its help, and the function that does it and returns the exit code. A command without kinds has one,
+named "". `MISSING`, if it is there, says what to do where a library is not installed.
+
+The first words are told apart here and not by tyro: its subcommands need the options of all
+commands, and so all their modules, to print help or to refuse a name; and without a command the
+words are the page's own options.
 """
 
 from __future__ import annotations
 
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from importlib import import_module
 
 from app.console import reason
+from app.options import parse_as
 from app.words import OptionError
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
+COMMANDS = {
+    "bench": "Measure: run time, other libraries, the control thread, the page, files, an hour of "
+    "it all.",
+    "experiment": "The paper's experiments with a simulated operator: tracing, cutting, power, "
+    "replay.",
+    "mesh": "Look after meshes: list the catalogue, check a file, repair it, make one from a "
+    "volume.",
+    "replay": "Repeat a recorded session without page and clock, compare it bit for bit, write it "
+    "as CSV.",
+    "study": "Many simulated trials over a grid of operators, skulls, rules and noise, on Dask.",
+    "verify": "Attack the fixtures with adversarial hands and judge every step by an independent "
+    "oracle.",
+}
+"""Each with its line of help."""
+
+
+def call(command: str, words: list[str]) -> int:
+    """Run one of `COMMANDS` with the words after its name; returns the exit code."""
+    program = f"vf-sandbox {command}"
+    module = import_module(f"app.commands.{command}")
+
+    def work() -> int:
+        called, rest, name = program, words, ""
+        if "" not in module.KINDS:
+            kinds = {
+                name: (kind.__doc__ or "").partition("\n\n")[0]
+                for name, (kind, _) in module.KINDS.items()
+            }
+            if not words or words[0] in ("-h", "--help"):
+                print(f"usage: {program} {{{','.join(kinds)}}} [options]\n")
+                print(listing(kinds))
+                return 0 if words else USAGE_ERROR
+            name, rest = one_of(kinds, words[0]), words[1:]
+            called = f"{program} {name}"
+        kind, do = module.KINDS[name]
+        options = parse_as(kind, called, rest)
+        try:
+            return int(do(options))
+        except ImportError as error:
+            if not hasattr(module, "MISSING"):
+                raise
+            raise OptionError(f"{error}: {module.MISSING}") from None
+
+    return answer(program, work)
+
+
+def one_of(known: Mapping[str, str], word: str, more: str = "") -> str:
+    """The word, if it is known.
+
+    Raises:
+        OptionError: it is not.
+    """
+    if word not in known:
+        raise OptionError(f"unknown command '{word}': choose one of {', '.join(known)}{more}")
+    return word
+
+
+def listing(known: Mapping[str, str]) -> str:
+    """Names with a line or two on each, in 79 columns."""
+    width = max(map(len, known))
+    return "\n".join(
+        textwrap.fill(
+            " ".join(about.split()),
+            79,
+            initial_indent=f"  {name:{width}}  ",
+            subsequent_indent=" " * (width + 4),
+        )
+        for name, about in known.items()
+    )
 
 
 def answer(program: str, work: Callable[[], int]) -> int:
@@ -33,31 +109,6 @@ def answer(program: str, work: Callable[[], int]) -> int:
         return _complain(program, "there is not enough memory for that")
     except (ValueError, OSError) as error:
         return _complain(program, reason(error))
-
-
-def one_of(program: str, kinds: dict[str, type], arguments: list[str]) -> tuple[str, list[str]]:
-    """A command's first word, one of `kinds`, and the words after it.
-
-    Raises:
-        OptionError: an unknown word.
-        SystemExit: after a list of them all, for none (2) or for --help (0).
-    """
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"usage: {program} {{{','.join(kinds)}}} [options]\n")
-        width = max(map(len, kinds))
-        for name, kind in kinds.items():
-            about = (kind.__doc__ or "").strip().partition("\n\n")[0]
-            indent = " " * (width + 4)
-            print(
-                textwrap.fill(
-                    " ".join(about.split()), 79, initial_indent=f"  {name:{width}}  ",
-                    subsequent_indent=indent,
-                )
-            )  # fmt: skip
-        raise SystemExit(0 if arguments else USAGE_ERROR)
-    if arguments[0] not in kinds:
-        raise OptionError(f"unknown command '{arguments[0]}': choose one of {', '.join(kinds)}")
-    return arguments[0], arguments[1:]
 
 
 def interrupted(program: str, so_far: str) -> int:

@@ -12,19 +12,11 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
 from app.bench.tools.settings import Loop, Meshes, Peers, Runtime, Soak, View
 from app.bench.tools.watcher import NoBrowser
-from app.commands import answer, interrupted, one_of
+from app.commands import interrupted
 from app.console import console as new_console
 from app.console import progress
-from app.settings import OptionError, parse_as
+from app.words import OptionError
 
-_KINDS: dict[str, type[Runtime | Peers | Loop | View | Meshes | Soak]] = {
-    "runtime": Runtime,
-    "peers": Peers,
-    "loop": Loop,
-    "view": View,
-    "meshes": Meshes,
-    "soak": Soak,
-}
 _MODULES: dict[type, str] = {
     Loop: "app.bench.loop",
     View: "app.bench.latency",
@@ -32,19 +24,14 @@ _MODULES: dict[type, str] = {
     Soak: "app.bench.soak",
 }
 PROGRAM = "vf-sandbox bench"
+MISSING = "pip install 'vf-sandbox[bench]'"
 WRONG_ANSWER = 1
 GREW = 1
 
 
-def main(arguments: list[str]) -> int:
-    """Run one of the measurements; returns the exit code."""
-    return answer(PROGRAM, lambda: _measure(arguments))
-
-
-def _measure(arguments: list[str]) -> int:
-    name, words = one_of(PROGRAM, _KINDS, arguments)
-    kind = _KINDS[name]
-    options = parse_as(kind, f"{PROGRAM} {name}", words, kind.__doc__ or "")
+def measure(options: Any) -> int:
+    """Do one of the measurements; returns the exit code."""
+    name = type(options).__name__.lower()
     options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
     try:
         if isinstance(options, Runtime):
@@ -55,8 +42,6 @@ def _measure(arguments: list[str]) -> int:
             result = _told(options, name, import_module(_MODULES[type(options)]))
     except NoBrowser as error:
         raise OptionError(str(error)) from None
-    except ImportError as error:
-        raise OptionError(f"{error}: pip install 'vf-sandbox[bench]'") from None
     if result.get("interrupted"):
         # Nothing is written: an earlier whole result is worth more than a part.
         return interrupted(f"{PROGRAM} {name}", "this is what there was so far, it is not written")
@@ -136,3 +121,8 @@ def _shown(
                 console.print(f"  {text} …", markup=False)
 
         return work(say, lambda share: shown.update(bar, completed=share))
+
+
+KINDS = {
+    kind.__name__.lower(): (kind, measure) for kind in (Runtime, Peers, Loop, View, Meshes, Soak)
+}

@@ -5,58 +5,53 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import pathlib
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-from app import choices, limits
-from app.commands import answer, interrupted, one_of
+from app.commands import interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.limits import Limit, OneOf, Whole
-from app.settings import LIMITS, Length, OptionError, named, parse_as
-from app.studies.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
+from app.kinds import Maybe, OneOf, Path, Whole
+from app.options import Checked, like, option
+from app.settings import Options
+from app.studies.experiments.description import RULES, WORKERS, Trial
+from app.words import OptionError
 
 if TYPE_CHECKING:
-    from app.studies.experiments.protocol import Outcome, Trial
+    from app.studies.experiments.protocol import Outcome
 
 PROGRAM = "vf-sandbox experiment"
 BROKEN = 1
 ENOUGH = 0.95  # of the seeds must find the fixture significantly better
 GUARDS = RULES[1:]
 
-Skull = Annotated[str, named(choices.SKULLS)]
+MISSING = "pip install 'vf-sandbox[experiments,study]'"
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Experiment(Checked):
     """Options that tracing and cutting share."""
 
-    trials: int | None = None
-    """Trials of each mode; the paper's number if not given (tracing 5, cutting 2)."""
-    seed: int = 0
-    """Of everything random."""
-    out: Path = Path("results")
-    """Where CSV files and the report go."""
-    mesh: Skull = "skull"
-    """Which of the built-in skulls."""
-    rule: Annotated[str, named(GUARDS)] = "certified"
-    """What guards the inner surface in fixture mode."""
-    noise: Length = 0.35e-3
-    """Fiducial localisation error, root mean square in 3D."""
-    width: Length = 1e-3
-    """Of the corridor, to either side of the planned cut."""
-    rate: float = 1000.0
-    """Ticks per second of simulated control."""
-    length: Length = 30e-3
-    """How much of the planned cut is done."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, COMPARED)
+    trials: int | None = option(
+        Maybe(Whole(1, 10_000)), None,
+        "Trials of each mode; the paper's number if not given (tracing 5, cutting 2).",
+    )  # fmt: skip
+    seed: int = like(Trial, "seed")
+    out: pathlib.Path = option(
+        Path(), pathlib.Path("results"), "Where CSV files and the report go."
+    )
+    mesh: str = like(Trial, "mesh")
+    rule: str = option(
+        OneOf("rule", GUARDS), "certified", "What guards the inner surface in fixture mode."
+    )
+    noise: float = like(Trial, "noise")
+    width: float = like(Trial, "width")
+    rate: float = like(Trial, "rate")
+    length: float | None = like(Trial, "length", 30e-3)
 
 
 @dataclass(frozen=True)
@@ -70,116 +65,60 @@ class Cutting(Experiment):
 
 
 @dataclass(frozen=True)
-class Power:
+class Power(Checked):
     """Repeat the cutting experiment with many seeds: how often is the fixture found better?"""
 
-    seeds: int = 100
-    """How many experiments, seeds 0 and up."""
-    rate: float = 50.0
-    """Ticks per second of simulated control; 1000 takes twenty times as long, with like results."""
-    workers: int = 0
-    """Processes, on Dask; 0 computes in this one."""
-    out: Path = Path("power")
-    """Where the trials are kept; the same command goes on where it stopped."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, POWER)
+    seeds: int = option(Whole(1, 100_000), 100, "How many experiments, seeds 0 and up.")
+    rate: float = like(
+        Trial, "rate", 50.0,
+        "Ticks per second of simulated control; 1000 takes twenty times as long, with like "
+        "results.",
+    )  # fmt: skip
+    workers: int = option(WORKERS, 0, "Processes, on Dask; 0 computes in this one.")
+    out: pathlib.Path = option(
+        Path(), pathlib.Path("power"),
+        "Where the trials are kept; the same command goes on where it stopped.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Calibrate:
+class Calibrate(Checked):
     """Fit the operator to the paper's plain teleoperation, and print its values."""
 
-    trials: int = 12
-    """Simulated trials behind every figure."""
-    seed: int = 0
-    """Of everything random."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, CALIBRATE)
+    trials: int = option(Whole(2, 10_000), 12, "Simulated trials behind every figure.")
+    seed: int = like(Trial, "seed")
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(Checked):
     """Do one trial again and open it in the page, where it is played in real time."""
 
-    experiment: Annotated[str, named(EXPERIMENTS)] = "cutting"
-    """Which of the two."""
-    rule: Annotated[str, named(RULES)] = "certified"
-    """What guards the inner surface; off is plain teleoperation."""
-    number: int = 0
-    """Which trial of the experiment, from 0."""
-    seed: int = 0
-    """Of the experiment."""
-    rate: float = 1000.0
-    """Ticks per second, as in the experiment."""
-    length: Length = 30e-3
-    """How much of the planned cut, as in the experiment."""
-    trial: Path | None = None
-    """A trial's file from a study, instead of all the above."""
-    host: str = "127.0.0.1"
-    """Address the page listens on."""
-    port: int = 8080
-    """Port of the page; 0 takes any free one."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, REPLAY)
+    experiment: str = like(Trial, "experiment", "cutting", "Which of the two.")
+    rule: str = like(
+        Trial, "rule", "certified",
+        "What guards the inner surface; off is plain teleoperation.",
+    )  # fmt: skip
+    number: int = like(Trial, "number", about="Which trial of the experiment, from 0.")
+    seed: int = like(Trial, "seed", about="Of the experiment.")
+    rate: float = like(Trial, "rate", about="Ticks per second, as in the experiment.")
+    length: float | None = like(
+        Trial, "length", 30e-3, "How much of the planned cut, as in the experiment."
+    )
+    trial: pathlib.Path | None = option(
+        Maybe(Path()), None, "A trial's file from a study, instead of all the above."
+    )
+    host: str = like(Options, "host", about="Address the page listens on.")
+    port: int = like(Options, "port")
 
 
-COMPARED: dict[str, Limit] = {
-    **{name: TRIAL[name] for name in ("seed", "mesh", "noise", "width", "rate", "length")},
-    "trials": Whole(1, 10_000, optional=True),
-    "out": limits.Path(),
-    "rule": OneOf("rule", GUARDS),
-}
-POWER: dict[str, Limit] = {
-    "seeds": Whole(1, 100_000), "rate": TRIAL["rate"], "workers": WORKERS, "out": limits.Path(),
-}  # fmt: skip
-CALIBRATE: dict[str, Limit] = {"trials": Whole(2, 10_000), "seed": TRIAL["seed"]}
-REPLAY: dict[str, Limit] = {
-    **{name: TRIAL[name] for name in ("experiment", "rule", "number", "seed", "rate", "length")},
-    **{name: LIMITS[name] for name in ("host", "port")},
-    "trial": limits.Path(optional=True),
-}
-
-_KINDS: dict[str, type] = {
-    "tracing": Tracing,
-    "cutting": Cutting,
-    "power": Power,
-    "calibrate": Calibrate,
-    "replay": Replay,
-}
-
-
-def main(arguments: list[str]) -> int:
-    """Run one of the kinds of `experiment`; returns the exit code."""
-    return answer(PROGRAM, lambda: _run(arguments))
-
-
-def _run(arguments: list[str]) -> int:
-    name, words = one_of(PROGRAM, _KINDS, arguments)
-    kind = _KINDS[name]
-    options: Any = parse_as(kind, f"{PROGRAM} {name}", words, kind.__doc__ or "")
-    console = new_console()
-    try:
-        if isinstance(options, Power):
-            return _power(options, console)
-        if isinstance(options, Calibrate):
-            return _calibrate(options, console)
-        if isinstance(options, Replay):
-            return _replay(options, console)
-        return _compare(name, options, console)
-    except ImportError as error:
-        raise OptionError(f"{error}: pip install 'vf-sandbox[experiments,study]'") from None
-
-
-def _compare(experiment: str, options: Experiment, console: Console) -> int:
-    from app.studies.experiments import protocol
+def _compare(options: Experiment) -> int:
     from app.studies.results import analysis, published, report
 
+    console = new_console()
+    experiment = "tracing" if isinstance(options, Tracing) else "cutting"
     usual = published.TRACING_TRIALS if experiment == "tracing" else published.CUTTING_TRIALS
     trials = [
-        protocol.Trial(
+        Trial(
             experiment, rule, number, mesh=options.mesh, noise=options.noise, width=options.width,
             seed=options.seed, rate=options.rate, length=options.length,
         )
@@ -219,13 +158,13 @@ def _shown(trials: list[Trial]) -> list[Outcome]:
     return outcomes
 
 
-def _power(options: Power, console: Console) -> int:
+def _power(options: Power) -> int:
     from app.commands.study import collect
-    from app.studies.experiments import protocol
     from app.studies.results import analysis, published
 
+    console = new_console()
     trials = [
-        protocol.Trial("cutting", rule, number, seed=seed, rate=options.rate)
+        Trial("cutting", rule, number, seed=seed, rate=options.rate)
         for seed in range(options.seeds)
         for number in range(published.CUTTING_TRIALS)
         for rule in ("off", "certified")
@@ -261,9 +200,10 @@ def _power(options: Power, console: Console) -> int:
     return BROKEN if broken or both < ENOUGH * options.seeds else 0
 
 
-def _calibrate(options: Calibrate, console: Console) -> int:
+def _calibrate(options: Calibrate) -> int:
     from app.studies.experiments import calibration, operators
 
+    console = new_console()
     with console.status("fitting") as status:
         found = calibration.calibrate(options.trials, options.seed, status.update)
     show_table(
@@ -280,12 +220,13 @@ def _calibrate(options: Calibrate, console: Console) -> int:
     return 0
 
 
-def _replay(options: Replay, console: Console) -> int:
+def _replay(options: Replay) -> int:
     from app.serving import attend, bind_problem
     from app.session import Session
     from app.studies.experiments import playback, protocol
     from app.view.page import Page
 
+    console = new_console()
     if problem := bind_problem(options.host, options.port):
         raise OptionError(problem)
     if options.trial is not None:
@@ -295,7 +236,7 @@ def _replay(options: Replay, console: Console) -> int:
         except (ValueError, RecursionError) as error:
             raise OptionError(f"{options.trial}: not the file of a trial: {error}") from None
     else:
-        trial = protocol.Trial(
+        trial = Trial(
             options.experiment, options.rule, options.number, seed=options.seed,
             rate=options.rate, length=options.length,
         )  # fmt: skip
@@ -315,3 +256,12 @@ def _replay(options: Replay, console: Console) -> int:
         finally:
             page.close()
     return 0
+
+
+KINDS = {
+    "tracing": (Tracing, _compare),
+    "cutting": (Cutting, _compare),
+    "power": (Power, _power),
+    "calibrate": (Calibrate, _calibrate),
+    "replay": (Replay, _replay),
+}

@@ -10,162 +10,126 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from inspect import cleandoc
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from app import limits
-from app.commands import answer, interrupted, one_of
+from app.commands import interrupted
 from app.console import console as new_console
 from app.console import count, progress
-from app.limits import Limit, Number, Switch, Whole
-from app.settings import LIMITS, Frame, Length, OptionError, Radius, Unit, parse_as
+from app.kinds import File, Length, Maybe, Number, Switch, Whole
+from app.options import Checked, like, option
+from app.settings import Options
+from app.words import OptionError
 
 if TYPE_CHECKING:
     from meshes import Changes, Health, Loaded
 
 PROGRAM = "vf-sandbox mesh"
 SOUND, DEFECTS = 0, 1
-File = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+OVERWRITE = "Replace a file that exists."
 
 
 @dataclass(frozen=True)
-class List:
+class List(Checked):
     """Print the catalogue: names, triangles, size, source and licence."""
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Checked):
     """Say what is wrong with a mesh, and what it means for the fixtures.
 
     Exit code 0: sound; 1: it has defects; 2: it could not be read."""
 
-    mesh: File
-    """Path of a mesh file (STL, OBJ, PLY, OFF, GLB, glTF, 3MF, VTP, VTK, GIfTI, FreeSurfer; also
-    with .gz), or a catalogue name."""
-    unit: Unit = None
-    """Unit of the file; needed where its size allows mm and m."""
-    frame: Frame = None
-    """Patient frame of a file that does not say it."""
-    json: bool = False
-    """Print the report as JSON, with up to 1000 ids of faces, edges or vertices a finding."""
-    examine: int = 50_000
-    """Look at so many faces for self-intersections and thin walls: all, or evenly sampled."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, CHECK)
+    mesh: str = option(
+        File(),
+        about="Path of a mesh file (STL, OBJ, PLY, OFF, GLB, glTF, 3MF, VTP, VTK, GIfTI, "
+        "FreeSurfer; also with .gz), or a catalogue name.",
+        positional=True,
+    )
+    unit: str | None = like(Options, "unit")
+    frame: str | None = like(
+        Options, "frame", about="Patient frame of a file that does not say it."
+    )
+    json: bool = option(
+        Switch(), False,
+        "Print the report as JSON, with up to 1000 ids of faces, edges or vertices a finding.",
+    )  # fmt: skip
+    examine: int = option(
+        Whole(0, 10**9), 50_000,
+        "Look at so many faces for self-intersections and thin walls: all, or evenly sampled.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Repair:
+class Repair(Checked):
     """Weld, drop what is no face, turn what is wound wrongly; nothing is moved, no hole filled.
 
     Exit code 0: written; 1: written, but something could not be mended; 2: nothing written."""
 
-    mesh: File
-    """Path of a mesh file of any format that is read."""
-    out: File
-    """File to write: .stl, .obj, .ply, .off, .glb; in the unit of the file that was read."""
-    unit: Unit = None
-    """Unit of the file; needed where its size allows mm and m."""
-    frame: Frame = None
-    """Patient frame of a file that does not say it."""
-    write_frame: Frame = None
-    """Turn it into this patient frame: half a turn about z where it is in the other."""
-    tolerance: Radius = None
-    """Vertices that near become one; auto is a millionth of the diagonal."""
-    flip: bool = False
-    """Turn open sheets over: they have no outside to be known by."""
-    overwrite: bool = False
-    """Replace a file that exists."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, REPAIR)
+    mesh: str = option(
+        File(), about="Path of a mesh file of any format that is read.", positional=True
+    )
+    out: str = option(
+        File(),
+        about="File to write: .stl, .obj, .ply, .off, .glb; in the unit of the file that was read.",
+        positional=True,
+    )
+    unit: str | None = like(Options, "unit")
+    frame: str | None = like(
+        Options, "frame", about="Patient frame of a file that does not say it."
+    )
+    write_frame: str | None = like(
+        Options, "frame",
+        about="Turn it into this patient frame: half a turn about z where it is in the other.",
+    )  # fmt: skip
+    tolerance: float | None = option(
+        Maybe(Length(0.0, 1e-2), "auto"), None,
+        "Vertices that near become one; auto is a millionth of the diagonal.",
+    )  # fmt: skip
+    flip: bool = like(Options, "flip")
+    overwrite: bool = option(Switch(), False, OVERWRITE)
 
 
 @dataclass(frozen=True)
-class FromVolume:
+class FromVolume(Checked):
     """Make a surface of a CT or MR volume, at a level, or of one label of a label map.
 
     In the patient's world coordinates: x to the right, y to the front, z up (RAS). NIfTI and DICOM
     need the extra 'volume'. Exit code 0: written; 2: nothing written."""
 
-    source: File
-    """NIfTI, MGH, NRRD or MetaImage file, or DICOM: a folder of slices or a multi-frame file."""
-    out: File
-    """File to write: .stl, .obj, .ply, .off (in mm) or .glb (in m)."""
-    level: float | None = None
-    """Value at the surface: in a CT, bone is above some 300 (Hounsfield units)."""
-    label: int | None = None
-    """Number of a structure in a label map, instead of a level."""
-    volume: int | None = None
-    """Which volume of a file with several (a time series, layers of labels): from 0."""
-    smooth: Length = 0.0
-    """Standard deviation of a Gaussian before, such as 0.5mm."""
-    largest: bool = False
-    """Keep only the largest piece."""
-    overwrite: bool = False
-    """Replace a file that exists."""
-
-    def __post_init__(self) -> None:
-        limits.check(self, FROM_VOLUME)
-
-
-_MESH: dict[str, Limit] = {"mesh": limits.File(), "unit": LIMITS["unit"], "frame": LIMITS["frame"]}
-_OUT: dict[str, Limit] = {"out": limits.File(), "overwrite": Switch()}
-CHECK: dict[str, Limit] = {**_MESH, "json": Switch(), "examine": Whole(0, 10**9)}
-REPAIR: dict[str, Limit] = {
-    **_MESH,
-    **_OUT,
-    "write_frame": LIMITS["frame"],
-    "tolerance": limits.Length(0.0, 1e-2, optional=True),
-    "flip": Switch(),
-}
-FROM_VOLUME: dict[str, Limit] = {
-    **_OUT,
-    "source": limits.File(),
-    "level": Number(-1e9, 1e9, optional=True),
-    "label": Whole(-(2**31), 2**31, optional=True),
-    "volume": Whole(0, 10**6, optional=True),
-    "smooth": limits.Length(0.0, 5e-2),
-    "largest": Switch(),
-}
-
-_KINDS: dict[str, type[List] | type[Check] | type[Repair] | type[FromVolume]] = {
-    "list": List,
-    "check": Check,
-    "repair": Repair,
-    "from-volume": FromVolume,
-}
+    source: str = option(
+        File(),
+        about="NIfTI, MGH, NRRD or MetaImage file, or DICOM: a folder of slices or a multi-frame "
+        "file.",
+        positional=True,
+    )
+    out: str = option(
+        File(), about="File to write: .stl, .obj, .ply, .off (in mm) or .glb (in m).",
+        positional=True,
+    )  # fmt: skip
+    level: float | None = option(
+        Maybe(Number(-1e9, 1e9)), None,
+        "Value at the surface: in a CT, bone is above some 300 (Hounsfield units).",
+    )  # fmt: skip
+    label: int | None = option(
+        Maybe(Whole(-(2**31), 2**31)), None,
+        "Number of a structure in a label map, instead of a level.",
+    )  # fmt: skip
+    volume: int | None = option(
+        Maybe(Whole(0, 10**6)), None,
+        "Which volume of a file with several (a time series, layers of labels): from 0.",
+    )  # fmt: skip
+    smooth: float = option(
+        Length(0.0, 5e-2), 0.0, "Standard deviation of a Gaussian before, such as 0.5mm."
+    )
+    largest: bool = option(Switch(), False, "Keep only the largest piece.")
+    overwrite: bool = option(Switch(), False, OVERWRITE)
 
 
-def main(arguments: list[str]) -> int:
-    """Run `mesh list`, `mesh check` and so on; returns the exit code."""
-    return answer(PROGRAM, lambda: _run(arguments))
-
-
-def _run(arguments: list[str]) -> int:
-    name, words = one_of(PROGRAM, _KINDS, arguments)
-    kind = _KINDS[name]
-    options = parse_as(kind, f"{PROGRAM} {name}", words, cleandoc(kind.__doc__ or ""))
-    if isinstance(options, List):
-        return _list()
-    try:
-        if isinstance(options, Check):
-            return _check(options)
-        if isinstance(options, Repair):
-            return _repair(options)
-        return _from_volume(options)
-    except KeyboardInterrupt:
-        left = "no report yet" if isinstance(options, Check) else "nothing was written"
-        return interrupted(f"{PROGRAM} {name}", left)
-
-
-def _list() -> int:
+def _list(_options: List) -> int:
     """A line for each mesh as soon as it is made: some take seconds the first time."""
     import numpy as np
 
@@ -397,3 +361,24 @@ def _stages() -> Iterator[Callable[[str], None]]:
     with bar:
         task = bar.add_task("starting", total=None)
         yield lambda stage: bar.update(task, description=escape(stage))
+
+
+def _unless_interrupted(name: str, do: Callable[[Any], int], left: str) -> Callable[[Any], int]:
+    """The work of a kind; where it is interrupted what is left of it is said."""
+
+    def work(options: Any) -> int:
+        try:
+            return do(options)
+        except KeyboardInterrupt:
+            return interrupted(f"{PROGRAM} {name}", left)
+
+    return work
+
+
+NOTHING = "nothing was written"
+KINDS = {
+    "list": (List, _list),
+    "check": (Check, _unless_interrupted("check", _check, "no report yet")),
+    "repair": (Repair, _unless_interrupted("repair", _repair, NOTHING)),
+    "from-volume": (FromVolume, _unless_interrupted("from-volume", _from_volume, NOTHING)),
+}

@@ -2,51 +2,50 @@
 
 from __future__ import annotations
 
+import pathlib
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.markup import escape
 
-from app.commands import answer, interrupted
+from app.commands import interrupted
 from app.console import console as new_console
 from app.console import count
 from app.files import shown
-from app.settings import parse_as
+from app.kinds import File, Maybe, Path, Switch
+from app.options import Checked, option
 
 if TYPE_CHECKING:
     from app.recording.format import Recording
 
 PROGRAM = "vf-sandbox replay"
 SAME, DIFFERENT = 0, 1
-ABOUT = """Repeat a recorded session: the same orders to a fresh engine, without page and clock.
-
-With --check every tick is compared bit for bit. Exit code 0: the same, or not compared; 1:
-different (the first differing tick and field are named); 2: the file or its mesh is not usable.
-Of a recording that was cut off, this is about what is readable, which is said."""
 
 
 @dataclass(frozen=True)
-class Replay:
-    """What to repeat, and what to make of it."""
+class Replay(Checked):
+    """Repeat a recorded session: the same orders to a fresh engine, without page and clock.
 
-    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """A recording, made with --record or on the page."""
-    check: bool = False
-    """Compare every tick with the recorded one, bit for bit."""
-    csv: Path | None = None
-    """Write the recorded ticks to this file, a line each, units in the heading."""
-    mesh: str | None = None
-    """Where the mesh is now, if it was a file that has moved; it must be the very same mesh."""
-    path: str | None = None
-    """Where the planned path is now, likewise."""
+    With --check every tick is compared bit for bit. Exit code 0: the same, or not compared; 1:
+    different (the first differing tick and field are named); 2: the file or its mesh is not usable.
+    Of a recording that was cut off, this is about what is readable, which is said.
+    """
 
-
-def main(arguments: list[str]) -> int:
-    """Run `replay`; returns the exit code."""
-    return answer(PROGRAM, lambda: run(parse_as(Replay, PROGRAM, arguments, ABOUT)))
+    file: pathlib.Path = option(
+        Path(metavar="FILE"), about="A recording, made with --record or on the page.",
+        positional=True,
+    )  # fmt: skip
+    check: bool = option(Switch(), False, "Compare every tick with the recorded one, bit for bit.")
+    csv: pathlib.Path | None = option(
+        Maybe(Path()), None,
+        "Write the recorded ticks to this file, a line each, units in the heading.",
+    )  # fmt: skip
+    mesh: str | None = option(
+        Maybe(File()), None,
+        "Where the mesh is now, if it was a file that has moved; it must be the very same mesh.",
+    )  # fmt: skip
+    path: str | None = option(Maybe(File()), None, "Where the planned path is now, likewise.")
 
 
 def run(options: Replay) -> int:
@@ -123,3 +122,6 @@ def summary(recording: Recording) -> list[str]:
     if other:
         lines.append("Recorded with " + ", ".join(other) + ": the last bits may differ.")
     return lines
+
+
+KINDS = {"": (Replay, run)}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
+import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -18,82 +18,67 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from app import choices, limits
-from app.commands import answer, interrupted
+from app.commands import interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.limits import Limit, Text, Whole
-from app.settings import OptionError, listed, parse_as
-from app.studies.experiments.limits import EXPERIMENTS, RULES, TRIAL, WORKERS
-from app.words import parse_length
+from app.kinds import Kind, Listed, Maybe, Path, Text, Whole
+from app.options import Checked, declared, like, option
+from app.studies.experiments.description import WORKERS, Trial
 
 if TYPE_CHECKING:
-    from app.studies.experiments.protocol import Outcome, Trial
+    from app.studies.experiments.protocol import Outcome
 
 PROGRAM = "vf-sandbox study"
 BROKEN = 1
 COLUMNS = (
     "trials", "|PD| [mm]", "CPD [mm]", "SAL", "time [s]", "TRE [mm]", "violations", "unfinished",
 )  # fmt: skip
-ABOUT = """Run the experiments over a grid: operators × skulls × rules × noise of the registration.
+MISSING = "pip install 'vf-sandbox[study]', or --workers 0"
 
-Every trial is written to its own file as it finishes; the same command goes on where it stopped.
-A trial's numbers do not depend on how many workers there are. Needs the extra: study."""
+
+def _listed(name: str) -> Kind:
+    """Values of this of a trial, joined by commas."""
+    return Listed(declared(Trial)[name].kind)
 
 
 @dataclass(frozen=True)
-class Study:
-    """What to run, and where."""
+class Study(Checked):
+    """Run the experiments over a grid: operators × skulls × rules × noise of the registration.
 
-    experiment: Annotated[str, listed(EXPERIMENTS)] = "cutting"
-    """One or both, joined by commas."""
-    operators: int = 20
-    """How many operators, each a variation of the calibrated one."""
-    meshes: Annotated[str, listed(choices.SKULLS)] = "skull"
-    """Skulls, joined by commas."""
-    rules: Annotated[str, listed(RULES)] = "certified,off"
-    """Rules, joined by commas: off is plain teleoperation."""
-    noise: str = "0.35mm"
-    """Fiducial localisation errors (root mean square), joined by commas."""
-    trials: int = 1
-    """Trials of each combination."""
-    seed: int = 0
-    """Of everything random."""
-    rate: float = 1000.0
-    """Ticks per second of simulated control."""
-    length: str | None = None
-    """Only this much of the planned cut, such as 5mm."""
-    workers: int = 2
-    """Processes of the local cluster; 0 computes in this process, without Dask."""
-    scheduler: str | None = None
-    """Address of a Dask cluster to use instead, such as tcp://host:8786."""
-    out: Path = Path("study")
-    """Where the trials and the summary are kept."""
+    Every trial is written to its own file as it finishes; the same command goes on where it
+    stopped. A trial's numbers do not depend on how many workers there are. Needs the extra: study.
+    """
 
-    def __post_init__(self) -> None:
-        limits.check(self, STUDY)
-        for name, field in (
-            ("experiment", "experiment"), ("meshes", "mesh"), ("rules", "rule"),
-        ):  # fmt: skip
-            for word in _words(getattr(self, name)):
-                TRIAL[field].check(field, word)
-        for word in _words(self.noise):
-            TRIAL["noise"].check("noise", parse_length(word))
-        if self.length is not None:
-            TRIAL["length"].check("length", parse_length(self.length))
-
-
-STUDY: dict[str, Limit] = {
-    **dict.fromkeys(("experiment", "meshes", "rules", "noise"), Text(1000)),
-    "operators": Whole(1, 100_000),
-    "trials": Whole(1, 10_000),
-    "seed": TRIAL["seed"],
-    "rate": TRIAL["rate"],
-    "length": Text(100, optional=True),
-    "workers": WORKERS,
-    "scheduler": Text(300, optional=True),
-    "out": limits.Path(),
-}
+    experiment: tuple[str, ...] = option(
+        _listed("experiment"), ("cutting",), "One or both, joined by commas."
+    )
+    operators: int = option(
+        Whole(1, 100_000), 20, "How many operators, each a variation of the calibrated one."
+    )
+    meshes: tuple[str, ...] = option(_listed("mesh"), ("skull",), "Skulls, joined by commas.")
+    rules: tuple[str, ...] = option(
+        _listed("rule"), ("certified", "off"),
+        "Rules, joined by commas: off is plain teleoperation.",
+    )  # fmt: skip
+    noise: tuple[float, ...] = option(
+        _listed("noise"), (0.35e-3,),
+        "Fiducial localisation errors (root mean square), joined by commas.",
+    )  # fmt: skip
+    trials: int = option(Whole(1, 10_000), 1, "Trials of each combination.")
+    seed: int = like(Trial, "seed")
+    rate: float = like(Trial, "rate")
+    length: float | None = like(Trial, "length")
+    workers: int = option(
+        WORKERS, 2,
+        "Processes of the local cluster; 0 computes in this process, without Dask.",
+    )  # fmt: skip
+    scheduler: str | None = option(
+        Maybe(Text(300)), None,
+        "Address of a Dask cluster to use instead, such as tcp://host:8786.",
+    )  # fmt: skip
+    out: pathlib.Path = option(
+        Path(), pathlib.Path("study"), "Where the trials and the summary are kept."
+    )
 
 
 @dataclass(frozen=True)
@@ -124,38 +109,25 @@ class Collected:
         raise OSError(f"{self.stopped}; {so_far}") from None
 
 
-def main(arguments: list[str]) -> int:
-    """Run `study`; returns the exit code."""
-    return answer(PROGRAM, lambda: _run(arguments))
-
-
-def _run(arguments: list[str]) -> int:
-    options = parse_as(Study, PROGRAM, arguments, ABOUT)
-    try:
-        return run(options, new_console())
-    except ImportError as error:
-        raise OptionError(f"{error}: pip install 'vf-sandbox[study]', or --workers 0") from None
-
-
-def run(options: Study, console: Console) -> int:
+def run(options: Study) -> int:
     """Run the grid and print its summary; returns the exit code."""
     from app.studies import batch as study
 
     trials = study.grid(
-        experiments=_words(options.experiment),
+        experiments=options.experiment,
         operators=options.operators,
-        meshes=_words(options.meshes),
-        rules=_words(options.rules),
-        noise=[parse_length(word) for word in _words(options.noise)],
+        meshes=options.meshes,
+        rules=options.rules,
+        noise=options.noise,
         trials=options.trials,
         seed=options.seed,
         rate=options.rate,
-        length=None if options.length is None else parse_length(options.length),
+        length=options.length,
     )
     options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
     found = collect(trials, options.out / "trials", options.workers, options.scheduler)
     if found.outcomes:
-        _tell(found, options, console)
+        _tell(found, options, new_console())
     if found.stopped is not None:
         return found.end(PROGRAM)
     return BROKEN if any(o.crossings + o.outside for o in found.outcomes) else 0
@@ -179,7 +151,7 @@ def _tell(found: Collected, options: Study, console: Console) -> None:
 
 
 def collect(
-    trials: Sequence[Trial], folder: Path, workers: int, scheduler: str | None
+    trials: Sequence[Trial], folder: pathlib.Path, workers: int, scheduler: str | None
 ) -> Collected:
     """Do the trials under a progress bar, until all are done or something ends it.
 
@@ -236,8 +208,4 @@ def _summary(outcomes: list[Outcome]) -> tuple[object, ...]:
     )
 
 
-def _words(text: str) -> list[str]:
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    if not words:
-        raise OptionError("a list joined by commas is empty")
-    return list(dict.fromkeys(words))
+KINDS = {"": (Study, run)}

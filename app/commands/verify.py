@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -19,23 +18,14 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from app import choices, limits
-from app.commands import answer, interrupted
+from app import choices
+from app.commands import interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.limits import SEEDS, File, Limit, Number, OneOf, Switch, Whole
-from app.settings import (
-    LIMITS,
-    Length,
-    OptionError,
-    Radius,
-    Robot,
-    Rule,
-    Unit,
-    format_length,
-    named,
-    parse_as,
-)
+from app.kinds import SEEDS, File, Number, OneOf, Repeated, Switch, Whole
+from app.options import Checked, like, option
+from app.settings import DECLARED, Options
+from app.words import OptionError, format_length
 
 if TYPE_CHECKING:
     from app.studies.verification.campaign import Cover, Drive
@@ -63,16 +53,6 @@ COLUMNS = (
     "queries", "leaked", "blocked", "budget spent",
 )  # fmt: skip
 
-ABOUT = """Try to get the tool through the surface, and count how often it worked.
-
-Adversarial hands (pokes, slides, jerks, full-speed reversals) drive the arm from start positions
-all around the mesh. After every tick an independent oracle tests the way of the true tip against
-all triangles around it. With the certified rule the surroundings change from case to case, but for
---outside: the mesh alone, several of them,
-a corridor, a standoff of 1 mm, a ball-shaped tip, 50 ticks a second, more triangles around the tip
-than there may be planes. With --queries the planes are also searched for leaks at radius 0.3, 1 and
-3 times the median edge. Exit code 0: nothing got through; 1: something did."""
-
 
 T = TypeVar("T")
 
@@ -87,37 +67,59 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Verify:
-    """What to attack, how long and how hard."""
+class Verify(Checked):
+    """Try to get the tool through the surface, and count how often it worked.
 
-    mesh: str = "all"
-    """Catalogue name, path of a mesh file, or all: every catalogue mesh up to 20,000 triangles."""
-    unit: Unit = None
-    """Unit of a mesh file. Needed where its size allows mm and m."""
-    damage: Annotated[str, named(DAMAGES)] = "all"
-    """Kind of damage done to the mesh first, none, or all: none and every kind in turn."""
-    robot: Robot = "point"
-    """Arm that carries the tool."""
-    rule: Rule = "certified"
-    """Which planes guard the tool."""
-    radius: Annotated[tuple[Radius, ...], tyro.conf.UseAppendAction] = ()
-    """Radius of the motion sphere, may be repeated; 0.5mm and 5mm if not given."""
-    steps: int = 20_000
-    """Controller ticks in all, shared evenly among meshes, kinds of damage and radii."""
-    queries: int = 0
-    """Leak queries in all, shared evenly among meshes, kinds of damage and three radii."""
-    seed: int = 0
-    """Of everything random."""
-    noise: float = 5e-3
-    """Actuation error after every tick, up to this share of the radius; half the cases have none.
-    The standoff is then four times the error."""
-    outside: bool = False
-    """Start and ask only outside the undamaged mesh, which the paper's rule takes for granted."""
-    tip_radius: Length = 0.0
-    """Radius of a spherical tool tip, at least: it crosses a triangle where the ball cuts it."""
+    Adversarial hands (pokes, slides, jerks, full-speed reversals) drive the arm from start
+    positions all around the mesh. After every tick an independent oracle tests the way of the true
+    tip against all triangles around it. With the certified rule the surroundings change from case
+    to case, but for --outside: the mesh alone, several of them, a corridor, a standoff of 1 mm, a
+    ball-shaped tip, 50 ticks a second, more triangles around the tip than there may be planes. With
+    --queries the planes are also searched for leaks at radius 0.3, 1 and 3 times the median edge.
+    Exit code 0: nothing got through; 1: something did.
+    """
+
+    mesh: str = option(
+        File(metavar="all|NAME|FILE"), "all",
+        "Catalogue name, path of a mesh file, or all: every catalogue mesh up to 20,000 triangles.",
+    )  # fmt: skip
+    unit: str | None = like(Options, "unit")
+    damage: str = option(
+        OneOf("damage", DAMAGES), "all",
+        "Kind of damage done to the mesh first, none, or all: none and every kind in turn.",
+    )  # fmt: skip
+    robot: str = like(Options, "robot", "point")
+    rule: str = like(Options, "rule", about="Which planes guard the tool.")
+    radius: tuple[float | None, ...] = option(
+        Repeated(DECLARED["radius"].kind), (),
+        "Radius of the motion sphere, may be repeated; 0.5mm and 5mm if not given.",
+    )  # fmt: skip
+    steps: int = option(
+        Whole(0, 10**12), 20_000,
+        "Controller ticks in all, shared evenly among meshes, kinds of damage and radii.",
+    )  # fmt: skip
+    queries: int = option(
+        Whole(0, 10**12), 0,
+        "Leak queries in all, shared evenly among meshes, kinds of damage and three radii.",
+    )  # fmt: skip
+    seed: int = option(Whole(*SEEDS), 0, "Of everything random.")
+    noise: float = option(
+        Number(0.0, 0.1), 5e-3,
+        "Actuation error after every tick, up to this share of the radius; half the cases have "
+        "none. The standoff is then four times the error.",
+    )  # fmt: skip
+    outside: bool = option(
+        Switch(), False,
+        "Start and ask only outside the undamaged mesh, which the paper's rule takes for granted.",
+    )  # fmt: skip
+    tip_radius: float = like(
+        Options, "tip_radius",
+        about="Radius of a spherical tool tip, at least: it crosses a triangle where the ball cuts "
+        "it.",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        limits.check(self, VERIFY)
+        super().__post_init__()
         if self.steps == 0 and self.queries == 0:
             # "Nothing got through" would be true, and worth nothing.
             raise OptionError("nothing to do: steps and queries are both 0")
@@ -125,35 +127,9 @@ class Verify:
             choices.check_mesh(self.mesh)
 
 
-class _Radii:
-    """Radii of the motion sphere."""
-
-    def check(self, name: str, value: tuple[float | None, ...]) -> None:
-        """See `limits.Limit.check`."""
-        for one in value:
-            LIMITS["radius"].check(name, one)
-
-
-VERIFY: dict[str, Limit] = {
-    **{name: LIMITS[name] for name in ("unit", "robot", "rule", "tip_radius")},
-    "mesh": File(),
-    "damage": OneOf("damage", DAMAGES),
-    "radius": _Radii(),
-    "steps": Whole(0, 10**12),
-    "queries": Whole(0, 10**12),
-    "seed": Whole(*SEEDS),
-    "noise": Number(0.0, 0.1),
-    "outside": Switch(),
-}
-
-
-def main(arguments: list[str]) -> int:
-    """Run `verify`; returns the exit code."""
-    return answer(PROGRAM, lambda: run(parse_as(Verify, PROGRAM, arguments, ABOUT), new_console()))
-
-
-def run(options: Verify, console: Console) -> int:
+def run(options: Verify) -> int:
     """Run the campaign and print its table; returns the exit code."""
+    console = new_console()
     import meshes
     import robots
     import vf
@@ -328,3 +304,6 @@ def _show_by_scene(found: list[Found], console: Console) -> None:
 
 def _percent(part: int, whole: int) -> str:
     return f"{100.0 * part / whole:.1f} %" if whole else ""
+
+
+KINDS = {"": (Verify, run)}

@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from app.recording import entries
 from app.recording.checks import check
 from app.recording.format import (
-    CHUNK,
     MAX_HEADER,
-    MAX_ORDERS,
     MAX_ROWS,
     ORDERS,
     ROWS,
@@ -67,17 +65,13 @@ class _Reader:
     def recording(self) -> Recording:
         if "header.json" not in self._members:
             raise RecordingError("not a recording: header.json is missing")
-        header = entries.header(self._bytes("header.json", MAX_HEADER), VERSION)
-        places = entries.places(header)
-        plants, courses = entries.plants(header, len(places))
-        chunks = [
-            entries.whole(n, "the rows of a chunk", 1, CHUNK)
-            for n in entries.items(header, "chunks", MAX_ROWS, least=0)
-        ]
+        header = entries.header(self._bytes("header.json", MAX_HEADER), entries.Archive, VERSION)
+        places = entries.places(header.places)
+        plants, courses = entries.plants(header.plants, len(places))
+        chunks = header.chunks
         if sum(chunks) > MAX_ROWS:
             raise RecordingError(f"{sum(chunks):,} rows: at most {MAX_ROWS:,} are read")
-        count = entries.whole(header.get("orders"), "the number of orders", 1, MAX_ORDERS)
-        orders = self._table("orders", ORDERS, count)
+        orders = self._table("orders", ORDERS, header.orders)
         rows = np.zeros(sum(chunks), dtype=ROWS)
         at = 0
         for k, n in enumerate(chunks):
@@ -90,10 +84,10 @@ class _Reader:
             places=places,
             plants=plants,
             courses=courses,
-            state=entries.state(header.get("state"), len(places[plants[0][0]].start)),
+            state=entries.state(header.state, len(places[plants[0][0]].start)),
             orders=orders,
             rows=rows,
-            note=entries.text(header.get("note"), "note"),
+            note=entries.text(header.note, "note"),
             packages=entries.packages(header),
         )
         check(recording)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.recording.format import Recording, RecordingError
-from app.settings import RANGES
+from app.settings import number
 
 
 def check(recording: Recording) -> None:
@@ -17,8 +17,9 @@ def check(recording: Recording) -> None:
         raise RecordingError("the rate changes within the recording")
     for name in ("target", "rotation", "stamp", "scale"):
         _all(np.isfinite(orders[name]), f"orders/{name}", "is not finite")
-    low, high = RANGES["scale"]
-    _all((orders["scale"] >= low) & (orders["scale"] <= high), "orders/scale", "is out of range")
+    scale = number("scale")
+    within = (orders["scale"] >= scale.low) & (orders["scale"] <= scale.high)
+    _all(within, "orders/scale", "is out of range")
     _all(orders["plant"] < len(recording.plants), "orders/plant", "is not one of the plants")
     _all(np.diff(orders["plant"].astype(np.int64)) >= 0, "orders/plant", "goes back")
     turned = orders["rotation"][orders["driven"] != 0]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import vf
 from app.recording.format import JOINTS, Recording, RecordingError
-from app.settings import format_length
+from app.words import format_length
 
 HEADING = (
     "tick", "time [s]", "robot", "mesh", "rule", "motion radius", "paused", "autopilot", "clutch",

@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 
 from app.control.autopilot import Course
 from app.control.engine import State
+from app.options import declared
 from app.settings import Options
 
 FORMAT, VERSION = "vf-sandbox recording", 2
@@ -56,12 +57,7 @@ MAX_WAYPOINTS = 1000  # of a course
 MAX_HEADER = 64_000_000  # [byte]
 MAX_BLOCK = 16_000_000  # [byte], unpacked
 
-# The options that a tick, or the way to it, can depend on.
-RECORDED = (
-    "mesh", "unit", "at", "rotate", "up", "damage", "seed", "repair", "flip", "path", "corridor",
-    "robot", "rule", "radius", "rate", "standoff", "tip_radius", "scale", "lock_orientation",
-    "tip_speed", "force_gain", "stale_after",
-)  # fmt: skip
+RECORDED = tuple(name for name, told in declared(Options).items() if told.recorded)
 
 ORDERS = np.dtype(
     [

@@ -147,7 +147,7 @@ class _Reader:
         """`rows` has room for all that may come."""
         self._rows = rows
         self._filled = 0
-        self._head: dict[str, Any] | None = None
+        self._head: entries.Head | None = None
         self._places: list[Any] = []
         self._plants: list[Any] = []
         self._courses: list[Any] = []
@@ -159,13 +159,13 @@ class _Reader:
         if self.ended or (block.kind == HEAD) != (self._head is None):
             raise RecordingError(f"a block {block.kind.decode()} is where none belongs")
         if block.kind == HEAD:
-            self._head = entries.header(content, VERSION)
+            self._head = entries.header(content, entries.Head, VERSION)
         elif block.kind == PART:
             self._part(block.rows, content)
         else:
             if block.rows != self._filled:
                 raise RecordingError(f"it has {self._filled:,} rows, not {block.rows:,}")
-            self._note = entries.text(entries.parsed(content, "the end").get("note"), "note")
+            self._note = entries.text(entries.read(content, entries.End, "the end").note, "note")
             self.ended = True
 
     def recording(self) -> Recording:
@@ -177,9 +177,7 @@ class _Reader:
             places=tuple(self._places),
             plants=tuple(self._plants),
             courses=tuple(self._courses),
-            state=entries.state(
-                self._head.get("state"), len(self._places[self._plants[0][0]].start)
-            ),
+            state=entries.state(self._head.state, len(self._places[self._plants[0][0]].start)),
             orders=np.concatenate(self._orders),
             rows=self._rows[: self._filled],
             note=self._note,
@@ -196,27 +194,28 @@ class _Reader:
             raise RecordingError(f"a part of it is damaged ({error})") from None
         if not unpacking.eof:
             raise RecordingError(f"a part of it unpacks to more than {MAX_BLOCK:,} bytes")
-        entries.whole(n, "the rows of a part", 0, min(CHUNK, len(self._rows) - self._filled))
+        most = min(CHUNK, len(self._rows) - self._filled)
+        if n > most:
+            raise RecordingError(f"the rows of a part are {n:,}, at most {most:,}")
         if len(content) < LENGTH.size:
             raise RecordingError("a part of it is empty")
         (length,) = LENGTH.unpack(content[: LENGTH.size])
-        about = entries.parsed(content[LENGTH.size : LENGTH.size + length], "a part of it")
-        count = entries.whole(about.get("orders"), "the number of orders", 0, CHUNK + 1)
         at = LENGTH.size + length
-        due = count * ORDERS.itemsize + n * ROWS.itemsize
+        about = entries.read(content[LENGTH.size : at], entries.Part, "a part of it")
+        due = about.orders * ORDERS.itemsize + n * ROWS.itemsize
         if len(content) - at != due:
             raise RecordingError(f"a part of it has {len(content) - at:,} bytes, not {due:,}")
-        self._places += entries.places(about, least=0)
-        plants, courses = entries.plants(about, len(self._places), least=0)
+        self._places += entries.places(about.places)
+        plants, courses = entries.plants(about.plants, len(self._places))
         self._plants += plants
         self._courses += courses
         if len(self._plants) > MAX_PLANTS:
             raise RecordingError(f"there are more than {MAX_PLANTS:,} changes of settings")
-        self._orders.append(_table(content, at, ORDERS, count))
+        self._orders.append(_table(content, at, ORDERS, about.orders))
         if sum(map(len, self._orders)) > MAX_ORDERS:
             raise RecordingError(f"there are more than {MAX_ORDERS:,} orders")
         self._rows[self._filled : self._filled + n] = _table(
-            content, at + count * ORDERS.itemsize, ROWS, n
+            content, at + about.orders * ORDERS.itemsize, ROWS, n
         )
         self._filled += n
 

@@ -7,29 +7,36 @@ file of this format version is read back exactly as it was written.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from app import limits
 from app.choices import FROM_PACKAGES, MESHES
-from app.limits import Limit, OneOf, Switch, Text
-from app.scenarios import values as values
-from app.scenarios.values import SETTINGS, ScenarioError, Viewpoint, Waypoint
+from app.kinds import Kind, Maybe, Switch, Text
+from app.options import Checked, declared, option
+from app.scenarios.values import (
+    CAMERAS,
+    Camera,
+    Quaternion,
+    ScenarioError,
+    Viewpoint,
+    Waypoint,
+    Waypoints,
+    shown,
+    taken,
+)
 from app.settings import Options
 
 FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
-CAMERAS = ("arm", "anatomy", "site", "tool", "follow", "surgeon")
-MOST_WAYPOINTS = 200
+SETTINGS = {name: told.kind for name, told in declared(Options).items() if told.shared}
+"""The options that belong to a scenario; they stand in its file beside what is in `Scenario`."""
 
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Checked):
     """Everything that makes a set-up.
 
     Attributes:
@@ -49,16 +56,16 @@ class Scenario:
             far, no unit quaternion, an unknown camera.
     """
 
-    name: str
-    about: str
-    options: Options = field(default_factory=Options)
-    proxy: tuple[Waypoint, ...] = ()
-    wxyz: tuple[float, float, float, float] | None = None
-    camera: str | Viewpoint | None = None
-    paused: bool = False
+    name: str = option(Text(60))
+    about: str = option(Text(300))
+    options: Options = option(Kind(), Options())
+    proxy: tuple[Waypoint, ...] = option(Waypoints(), ())
+    wxyz: tuple[float, float, float, float] | None = option(Maybe(Quaternion()), None)
+    camera: str | Viewpoint | None = option(Maybe(Camera("camera", CAMERAS)), None)
+    paused: bool = option(Switch(), False)
 
     def __post_init__(self) -> None:
-        limits.check(self, SCENARIO)
+        super().__post_init__()
         # One value, one scenario: what is of the server and not of the scenario is left out.
         object.__setattr__(self, "options", self.applied(Options()))
 
@@ -67,61 +74,9 @@ class Scenario:
         return replace(options, **{key: getattr(self.options, key) for key in SETTINGS})
 
 
-class _Options:
-    """Settings, which have limits of their own."""
-
-    def check(self, name: str, value: Any) -> None:
-        """See `Limit.check`."""
-        assert isinstance(value, Options)
-
-
-class _Proxy:
-    """Waypoints in the order of their times, not too many."""
-
-    def check(self, name: str, value: Any) -> None:
-        """See `Limit.check`."""
-        if len(value) > MOST_WAYPOINTS:
-            raise ScenarioError(
-                f"{name} has {len(value)} waypoints: at most {MOST_WAYPOINTS} are allowed"
-            )
-        for before, after in pairwise(value):
-            if not before.time < after.time:
-                raise ScenarioError(
-                    f"{name}: a waypoint's time {after.time:g} s must be after the one before "
-                    f"({before.time:g} s)"
-                )
-
-
-class _Camera:
-    """One of `CAMERAS`, or a place to look from, which has limits of its own; or None."""
-
-    def check(self, name: str, value: Any) -> None:
-        """See `Limit.check`."""
-        if not isinstance(value, Viewpoint):
-            OneOf(name, (*CAMERAS,), optional=True).check(name, value)
-
-
-class _Quaternion:
-    """Four numbers w, x, y, z of length 1, or None."""
-
-    def check(self, name: str, value: Any) -> None:
-        """See `Limit.check`."""
-        if value is not None and not abs(math.hypot(*value) - 1.0) < 1e-3:
-            raise ScenarioError(
-                f"{name} must be a unit quaternion such as [1, 0, 0, 0], not "
-                f"{limits.shown(list(value))}"
-            )
-
-
-SCENARIO: dict[str, Limit] = {
-    "name": Text(60),
-    "about": Text(300),
-    "options": _Options(),
-    "proxy": _Proxy(),
-    "wxyz": _Quaternion(),
-    "camera": _Camera(),
-    "paused": Switch(),
-}
+_OWN = {name: told.kind for name, told in declared(Scenario).items() if name != "options"}
+_KEYS = {"name": _OWN["name"], "about": _OWN["about"], **SETTINGS, **_OWN}
+"""The keys of a file besides its format, in their order."""
 
 
 def loads(
@@ -150,32 +105,21 @@ def loads(
         reason = " ".join(str(error).split())[:120]
         raise ScenarioError(f"this is not JSON ({reason})") from None
     if not isinstance(content, dict):
-        raise ScenarioError(f"a scenario is a JSON object {{…}}, not {values.shown(content)}")
+        raise ScenarioError(f"a scenario is a JSON object {{…}}, not {shown(content)}")
     version = content.get("format")
     if type(version) is not int or version != FORMAT:
-        said = "it has none" if version is None else f"not {values.shown(version)}"
+        said = "it has none" if version is None else f"not {shown(version)}"
         raise ScenarioError(f'"format" must be {FORMAT}, the version of scenarios: {said}')
-    known = ("format", "name", "about", *SETTINGS, "proxy", "wxyz", "camera", "paused")
     for key in content:
-        if key not in known:
-            raise ScenarioError(f"unknown key {values.shown(key)}: choose from {', '.join(known)}")
+        if key not in _KEYS and key != "format":
+            known = ", ".join(("format", *_KEYS))
+            raise ScenarioError(f"unknown key {shown(key)}: choose from {known}")
     for key in ("name", "about"):
         if key not in content:
             raise ScenarioError(f'"{key}" is missing')
-    wanted = {
-        key: values.taken(key, kind.read, content[key])
-        for key, kind in SETTINGS.items()
-        if key in content
-    }
-    scenario = Scenario(
-        name=values.taken("name", values.text, content["name"]),
-        about=values.taken("about", values.text, content["about"]),
-        options=Options(**wanted),
-        proxy=values.taken("proxy", values.waypoints, content.get("proxy", [])),
-        wxyz=values.taken("wxyz", values.quaternion, content.get("wxyz")),
-        camera=values.taken("camera", values.camera, content.get("camera")),
-        paused=values.taken("paused", values.flag, content.get("paused", False)),
-    )
+    wanted = {key: taken(key, kind, content[key]) for key, kind in _KEYS.items() if key in content}
+    options = Options(**{key: wanted.pop(key) for key in SETTINGS if key in wanted})
+    scenario = Scenario(**wanted, options=options)
     return _placed(scenario, folder, find)
 
 
@@ -189,20 +133,12 @@ def dumps(scenario: Scenario, folder: Path | None = None) -> str:
     Raises:
         ScenarioError: a file in it is neither in the folder nor below it.
     """
-    options = scenario.options
-    content: dict[str, Any] = {"format": FORMAT, "name": scenario.name, "about": scenario.about}
-    for key, kind in SETTINGS.items():
-        value = getattr(options, key)
+    content: dict[str, Any] = {"format": FORMAT}
+    for key, kind in _KEYS.items():
+        value = getattr(scenario.options if key in SETTINGS else scenario, key)
         if key in _FILES and value is not None and _is_file(value):
             value = Path(value).name if folder is None else _relative(key, Path(value), folder)
-        content[key] = kind.write(value)
-    content["proxy"] = [
-        {"time": waypoint.time, "at": values.write_point(waypoint.at)}
-        for waypoint in scenario.proxy
-    ]
-    content["wxyz"] = None if scenario.wxyz is None else list(scenario.wxyz)
-    content["camera"] = values.write_camera(scenario.camera)
-    content["paused"] = scenario.paused
+        content[key] = kind.to_json(value)
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -253,18 +189,16 @@ def _placed(
             if find is not None and not Path(name).is_absolute():
                 found[key] = find(name)
                 if found[key] is None:
-                    raise ScenarioError(
-                        f'"{key}": {values.shown(name)} is not known here: bring it first'
-                    )
+                    raise ScenarioError(f'"{key}": {shown(name)} is not known here: bring it first')
                 continue
             if folder is None and find is None:
                 raise ScenarioError(
-                    f'"{key}": {values.shown(name)}: there is no file to find this one from'
+                    f'"{key}": {shown(name)}: there is no file to find this one from'
                 )
             found[key] = _beside(key, name, folder or Path())
         elif name not in MESHES and name not in FROM_PACKAGES:
             raise ScenarioError(
-                f'"{key}": unknown mesh {values.shown(name)}: choose one of '
+                f'"{key}": unknown mesh {shown(name)}: choose one of '
                 f"{', '.join((*MESHES, *FROM_PACKAGES))}, or a file beside the scenario"
             )
     return replace(scenario, options=replace(scenario.options, **found)) if found else scenario
@@ -286,7 +220,7 @@ def _beside(key: str, name: str, folder: Path) -> str:
         inside = False
     if not inside:
         raise ScenarioError(
-            f'"{key}": {values.shown(name)}: write the path of a file in the scenario\'s own '
+            f'"{key}": {shown(name)}: write the path of a file in the scenario\'s own '
             "folder or below it, relative to it; it may not lead out, by .. or a link"
         )
     return os.path.normpath(folder / path)
@@ -304,11 +238,12 @@ def _relative(key: str, path: Path, folder: Path) -> str:
 
 
 def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Of the readers of JSON here only this hook tells a key that is there twice."""
     content = dict(pairs)
     if len(content) != len(pairs):
         keys = [key for key, _ in pairs]
         twin = next(key for key in keys if keys.count(key) > 1)
-        raise ScenarioError(f"the key {values.shown(twin)} is there twice")
+        raise ScenarioError(f"the key {shown(twin)} is there twice")
     return content
 
 

@@ -19,6 +19,7 @@ import platformdirs
 
 import meshes
 from app.files import numbered, size
+from app.options import plain
 from app.settings import MESH, Options
 
 MOST = 100  # files that are kept
@@ -92,13 +93,8 @@ class Library:
         with contextlib.suppress(OSError, ValueError):
             note = json.loads((path.parent / NOTE).read_bytes())
             if isinstance(note, dict):
-                default = Options()
-                known = {k: v for k, v in note.items() if k in MESH and k != "mesh"}
-                for key, value in known.items():
-                    if isinstance(value, list):
-                        known[key] = tuple(value)
-                    if not isinstance(known[key], type(getattr(default, key)) | str | tuple | None):
-                        raise ValueError(key)
+                known = {k: plain(v) for k, v in note.items() if k in MESH and k != "mesh"}
+                Options(**known)  # which refuses what is unusable
                 found |= known
         return found
 

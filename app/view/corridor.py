@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.recording.playback import Moment
 from app.scene.scene import DEFAULT_WIDTH, Scene, corridor
-from app.settings import RANGES
+from app.settings import number
 from app.view import palette
 from app.view.context import PageContext
 from app.view.fields import NumberField, show
@@ -30,16 +30,17 @@ class CorridorControl(Part):
         self._api = context.server.scene
         self._drawn: tuple[int, float | None] | None = None
         self._named = (-1, 0)  # version of the scene, end of the path that the label is at
-        low, high = RANGES["corridor"]
+        kind = number("corridor")
+        low, high = kind.low * kind.shown, kind.high * kind.shown
         with context.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
             self._on = context.server.gui.add_checkbox(
                 "Stay by the path", False, hint="The tool may leave the planned path only so far."
             )
             self._width = context.server.gui.add_number(
-                "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low * 1e3, max=high * 1e3, step=0.1
+                "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low, max=high, step=0.1
             )
         self._field = NumberField(
-            self._width, (low * 1e3, high * 1e3), self._hand, self._tell, self._take, self._in_force
+            self._width, (low, high), self._hand, self._tell, self._take, self._in_force
         )
         self._on.on_update(self._switched)
 
@@ -86,14 +87,14 @@ class CorridorControl(Part):
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         try:
-            self._session.set_corridor(float(self._width.value) * 1e-3 if on else None)
+            self._session.set(corridor=float(self._width.value) * 1e-3 if on else None)
         except ValueError as error:
             self._tell(client, f"{error}")
 
     def _take(self, width: float) -> None:
         """A width [mm]; without a corridor it is for later."""
         if self._session.options.corridor is not None:
-            self._session.set_corridor(width * 1e-3)
+            self._session.set(corridor=width * 1e-3)
 
     def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
         """The label, at the end of the path that is farther from the tip and its labels."""

@@ -109,7 +109,7 @@ class Keys:
         self._session.set_autopilot(not self._session.latest().autopilot)
 
     def _rule(self, rule: str, _client: viser.ClientHandle) -> None:
-        self._session.set_rule(rule)
+        self._session.set(rule=rule)
 
 
 def seen_from(wxyz: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ import vf
 from app.recording.playback import Moment
 from app.scene.library import Library
 from app.session import Session
-from app.settings import RANGES
+from app.settings import DECLARED, number
 from app.view import palette, style
 from app.view.escape import Escape
 from app.view.fields import NumberField, show
@@ -160,7 +160,7 @@ class Panel(Part):
                 "Rule",
                 tuple(vf.RULES),
                 initial_value=session.options.rule,
-                hint="Which planes guard the tool.",
+                hint=DECLARED["rule"].about,
             )
             self._rule_help = self._gui.add_html("")
             self._radius_preset = self._gui.add_dropdown(
@@ -170,27 +170,10 @@ class Panel(Part):
                 hint="How far one tick may move the tool; triangles beyond it are not asked. "
                 "Auto: the arm's highest tip speed times the tick.",
             )
-            self._radius = self._number(
-                "Radius [mm]",
-                "radius",
-                1e3,
-                0.05,
-                session.set_radius,
-                hint="Of the motion sphere.",
-            )
-            self._number(
-                "Tip radius [mm]",
-                "tip_radius",
-                1e3,
-                0.1,
-                session.set_tip_radius,
-                hint="Of the tool’s spherical tip; 0 is a point.",
-            )
-            self._number(
-                "Standoff [µm]", "standoff", 1e6, 5.0, session.set_standoff,
-                hint="How far the tool keeps from the surface.",
-            )  # fmt: skip
-        self._bind(self._rule, lambda value: session.set_rule(str(value)))
+            self._radius = self._number("Radius", "radius", 0.05)
+            self._number("Tip radius", "tip_radius", 0.1)
+            self._number("Standoff", "standoff", 5.0)
+        self._bind(self._rule, lambda value: session.set(rule=str(value)))
         self._bind(self._radius_preset, self._take_preset)
 
     def _scene_controls(self) -> None:
@@ -221,37 +204,19 @@ class Panel(Part):
     def _teleop_controls(self) -> None:
         session = self._session
         with self._gui.add_folder("Teleoperation", expand_by_default=False):
-            self._number(
-                "Scale",
-                "scale",
-                1.0,
-                0.05,
-                session.set_scale,
-                hint="Proxy movement for each movement of the gizmo, which is then the master’s "
-                "handle. The dVRK uses 0.2.",
-            )
+            self._number("Scale", "scale", 0.05)
             self._clutch = self._gui.add_checkbox(
                 "Clutch", False, hint="Pressed: the handle moves alone, the tool holds."
             )
             self._lock = self._gui.add_checkbox(
                 "Lock orientation",
                 session.options.lock_orientation,
-                hint="The tool keeps its orientation, as in the paper’s study.",
+                hint=DECLARED["lock_orientation"].about,
             )
-            self._number(
-                "Speed [mm/s]",
-                "tip_speed",
-                1e3,
-                5.0,
-                session.set_tip_speed,
-                hint="The tool’s tip goes no faster; the arm’s joints have limits of their own.",
-            )
-            self._number(
-                "Force [N/m]", "force_gain", 1.0, 10.0, session.set_force_gain,
-                hint="Stiffness of the simulated force, which is capped at 4 N.",
-            )  # fmt: skip
+            self._number("Speed", "tip_speed", 5.0)
+            self._number("Force", "force_gain", 10.0)
         self._bind(self._clutch, lambda value: session.clutch(bool(value)))
-        self._bind(self._lock, lambda value: session.set_orientation_lock(bool(value)))
+        self._bind(self._lock, lambda value: session.set(lock_orientation=bool(value)))
 
     def _buttons(self, label: str, hint: str, orders: dict[str, Callable[[], None]]) -> None:
         group = self._gui.add_button_group(label, tuple(orders), hint=hint)
@@ -263,39 +228,32 @@ class Panel(Part):
             if order is not None:
                 self._hand.submit(lambda _client: order(), event.client)
 
-    def _number(
-        self,
-        label: str,
-        option: str,
-        scale: float,
-        step: float,
-        take: Callable[[float], object],
-        hint: str,
-    ) -> viser.GuiNumberHandle[float]:
-        """A field for one of `RANGES`, `scale` of its units to one of SI."""
-        low, high = RANGES[option]
+    def _number(self, label: str, name: str, step: float) -> viser.GuiNumberHandle[float]:
+        """A field for an option that is a number; `step` is in the unit that the page shows."""
+        kind = number(name)
 
         def shown() -> float | None:
-            value = getattr(self._shown().options, option)
-            return None if value is None else value * scale
+            value = getattr(self._shown().options, name)
+            return None if value is None else value * kind.shown
 
         value = shown()
+        limits = (kind.low * kind.shown, kind.high * kind.shown)
         control = self._gui.add_number(
-            label,
-            float(5e-3 * scale if value is None else value),
-            min=low * scale,
-            max=high * scale,
+            f"{label} [{kind.unit}]" if kind.unit else label,
+            float(5e-3 * kind.shown if value is None else value),
+            min=limits[0],
+            max=limits[1],
             step=step,
-            hint=hint,
+            hint=DECLARED[name].about,
         )
         self._settings.append(control)
         self._fields.append(
             NumberField(
                 control,
-                (low * scale, high * scale),
+                limits,
                 self._hand,
                 self._tell,
-                lambda typed: take(typed / scale),
+                lambda typed: self._session.set(**{name: typed / kind.shown}),
                 shown,
             )
         )
@@ -325,11 +283,11 @@ class Panel(Part):
 
     def _take_preset(self, value: object) -> None:
         if value in RADII:
-            self._session.set_radius(RADII[str(value)])
+            self._session.set(radius=RADII[str(value)])
         elif value != CUSTOM:
             raise ValueError(f"no such preset: {value!r}; choose one of {', '.join(RADII)}")
         elif self._session.options.radius is None:
-            self._session.set_radius(float(self._radius.value) * 1e-3)
+            self._session.set(radius=float(self._radius.value) * 1e-3)
 
     def _begin_change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
         """Another mesh or robot, in a thread of its own; the page goes on meanwhile."""

@@ -19,12 +19,12 @@ from app.scenarios.file import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import present, stage
 from app.scene.scene import Scene
-from app.settings import OptionError, format_length
 from app.view import camera, palette
 from app.view.context import PageContext
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
 from app.view.uploads import Receiver
+from app.words import OptionError, format_length
 
 ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
 FILE_NAME = "scenario.json"

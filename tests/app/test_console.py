@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from app.console import Column, console, count, prepare, reason, show_table
+from app.options import parse_as
 from app.serving import _show
-from app.settings import parse
+from app.settings import Options
 
 numbers = st.text("0123456789,.-+e% µ", min_size=1, max_size=14).map(
     lambda text: f"{text.strip()}0"
@@ -90,8 +91,8 @@ def test_the_width_is_that_of_columns(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_browser_is_opened_without_waiting_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert parse(["--open"], "").open
-    assert not parse([], "").open
+    assert parse_as(Options, "vf-sandbox", ["--open"]).open
+    assert not parse_as(Options, "vf-sandbox", []).open
     opened, leave = threading.Event(), threading.Event()
     seen = []
 

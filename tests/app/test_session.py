@@ -19,7 +19,8 @@ import robots
 from app.devices.page import FARTHEST_PROXY
 from app.refused import Refused
 from app.session import Session
-from app.settings import OptionError, Options
+from app.settings import Options
+from app.words import OptionError
 
 Wait = Callable[[Callable[[], bool]], None]
 Moved = Callable[..., pin.SE3]
@@ -190,13 +191,13 @@ def test_a_scaled_handle_moves_the_proxy_less_and_a_new_scale_does_not_jump(
     session: Session, wait_until: Wait, moved: Moved
 ) -> None:
     start = session.scene.T_base_start
-    assert session.set_scale(0.2) == 0.2
+    assert session.set(scale=0.2).scale == 0.2
     session.drive(moved(start, dx=0.02))
     wait_until(lambda: session.latest().target is not None)
     np.testing.assert_allclose(
         session.latest().target.translation, moved(start, dx=0.004).translation, atol=1e-12
     )
-    assert session.set_scale(0.5) == 0.5
+    assert session.set(scale=0.5).scale == 0.5
     sequence = session.latest().sequence
     session.drive(moved(start, dx=0.02))
     wait_until(lambda: session.latest().sequence > sequence)
@@ -258,20 +259,25 @@ def test_settings_change_while_running_and_are_clamped(
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
-    assert session.set_radius(1e-3) == 1e-3
+    assert session.set(radius=1e-3).radius == 1e-3
     wait_until(lambda: session.latest().step.radius == 1e-3)
-    assert session.set_radius(1e3) == 2e-2
-    assert session.set_radius(-1.0) == 5e-5
-    assert session.set_radius(None) is None
-    assert session.set_force_gain(1e9) == 1000.0
-    assert session.set_standoff(1.0) == 1e-3
-    assert session.set_scale(-3.0) == 0.05
-    assert session.set_tip_radius(2e-3) == 2e-3
+    assert session.set(radius=1e3).radius == 2e-2
+    assert session.set(radius=-1.0).radius == 5e-5
+    assert session.set(radius=None).radius is None
+    assert session.set(force_gain=1e9).force_gain == 1000.0
+    assert session.set(standoff=1.0).standoff == 1e-3
+    assert session.set(scale=-3.0).scale == 0.05
+    assert session.set(tip_radius=2e-3).tip_radius == 2e-3
     top = session.scene.surface.vertices[:, 2].max()
     wait_until(lambda: abs(tool(session)[2] - top - 3e-3) < 1e-5)  # tip radius and standoff
-    for setter in (session.set_radius, session.set_force_gain, session.set_tip_radius):
-        with pytest.raises(Refused, match="must be a number"):
-            setter(math.nan)
+    for name in ("radius", "force_gain", "tip_radius"):
+        with pytest.raises(Refused, match=f"{name} nan"):
+            session.set(**{name: math.nan})
+        with pytest.raises(Refused, match=f"{name} must be a number"):
+            session.set(**{name: "1"})
+    for name in ("mesh", "robot", "rate", "host", "nothing"):
+        with pytest.raises(Refused, match=f"{name} is nothing that is set"):
+            session.set(**{name: 1})
     assert session.options == Options(
         mesh="cube", robot="point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,
         force_gain=1000.0,
@@ -284,15 +290,15 @@ def test_the_rule_changes_while_running(session: Session, wait_until: Wait, move
     session.drive(below)
     wait_until(lambda: session.latest().step is not None)
     for rule in ("paper", "all", "certified"):
-        assert session.set_rule(rule) == rule
+        assert session.set(rule=rule).rule == rule
         wait_until(lambda: abs(tool(session)[2] - top) < 1e-4)
         tick = session.latest().tick
         wait_until(lambda tick=tick: session.latest().tick > tick + 50)
         assert tool(session)[2] > top
     with pytest.raises(Refused, match="unknown rule 'soft': choose one of certified, paper, all"):
-        session.set_rule("soft")
+        session.set(rule="soft")
     assert session.options.rule == "certified"
-    session.set_rule("off")
+    session.set(rule="off")
     wait_until(rests_at(session, below.translation))
 
 
@@ -386,7 +392,7 @@ def test_one_change_at_a_time(session: Session) -> None:
     with pytest.raises(Refused, match="another change is under way"), session.work.begin():
         pass
     # The old scene can still be driven and set while the new one is being built.
-    session.set_rule("paper")
+    session.set(rule="paper")
     go_on.set()
     slow.join()
     assert not session.work.going
@@ -417,14 +423,14 @@ def test_a_locked_orientation_holds_and_its_release_does_not_jump(
     start = session.scene.T_base_start
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
     session.drive(pin.SE3(turn @ start.rotation, start.translation))
-    assert session.set_orientation_lock(True)
+    assert session.set(lock_orientation=True).lock_orientation
     goal = moved(start, dx=0.002)
     session.drive(pin.SE3(turn @ turn @ goal.rotation, goal.translation))
     wait_until(lambda: session.latest().target is not None)
     wait_until(rests_at(session, goal.translation))
     np.testing.assert_allclose(session.latest().target.rotation, turn @ start.rotation, atol=1e-12)
     sequence = session.latest().sequence
-    assert not session.set_orientation_lock(False)
+    assert not session.set(lock_orientation=False).lock_orientation
     session.drive(session.handle)
     wait_until(lambda: seen(session, sequence + 1))
     np.testing.assert_allclose(session.latest().target.rotation, turn @ start.rotation, atol=1e-12)
@@ -439,7 +445,7 @@ def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
     session: Session, wait_until: Wait
 ) -> None:
     start = np.array(session.handle.translation)
-    session.set_scale(0.5)
+    session.set(scale=0.5)
     session.nudge([1e-3, 0.0, 0.0])
     session.nudge(np.array([1e-3, -1e-4, 0.0]))
     np.testing.assert_allclose(session.handle.translation - start, [2e-3, -1e-4, 0.0], atol=1e-12)
@@ -457,11 +463,11 @@ def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
 def test_the_tip_speed_limit_is_clamped_and_holds_between_any_two_ticks(
     session: Session, wait_until: Wait, moved: Moved
 ) -> None:
-    assert session.set_tip_speed(99.0) == 2.0
-    assert session.set_tip_speed(-1.0) == 1e-3
-    assert session.set_tip_speed(0.02) == 0.02
+    assert session.set(tip_speed=99.0).tip_speed == 2.0
+    assert session.set(tip_speed=-1.0).tip_speed == 1e-3
+    assert session.set(tip_speed=0.02).tip_speed == 0.02
     with pytest.raises(Refused, match="tip_speed"):
-        session.set_tip_speed(math.nan)
+        session.set(tip_speed=math.nan)
     wait_until(lambda: session.latest().step is not None)
     session.drive(moved(session.scene.T_base_start, dx=0.004))
     seen_at: list[tuple[int, np.ndarray]] = []
@@ -527,15 +533,15 @@ def test_a_suspended_session_takes_no_order_and_goes_on_as_it_was(
         lambda: session.set_autopilot(True),
         lambda: session.put(start),
         lambda: session.perform(session.scene.autopilot),
-        lambda: session.set_rule("off"),
-        lambda: session.set_radius(1e-3),
-        lambda: session.set_force_gain(10.0),
-        lambda: session.set_standoff(1e-4),
-        lambda: session.set_tip_radius(1e-3),
-        lambda: session.set_corridor(None) if options.corridor else session.set_rule("all"),
-        lambda: session.set_scale(0.5),
-        lambda: session.set_orientation_lock(True),
-        lambda: session.set_tip_speed(0.1),
+        lambda: session.set(rule="off"),
+        lambda: session.set(radius=1e-3),
+        lambda: session.set(force_gain=10.0),
+        lambda: session.set(standoff=1e-4),
+        lambda: session.set(tip_radius=1e-3),
+        lambda: session.set(corridor=None) if options.corridor else session.set(rule="all"),
+        lambda: session.set(scale=0.5),
+        lambda: session.set(lock_orientation=True),
+        lambda: session.set(tip_speed=0.1),
         lambda: session.change(mesh="stairs"),
         lambda: session.record(tmp_path / "run.vfrec"),
         lambda: session.suspend("another"),

@@ -60,8 +60,8 @@ def _fresh(session: Session) -> Iterator[None]:
         if session.scene.mesh_name != MESH:
             session.change(mesh=MESH)
         session.resume()
-        session.set_rule("certified")
-        session.set_radius(5e-3)
+        session.set(rule="certified")
+        session.set(radius=5e-3)
         session.reset()
         wait_until(lambda: session.latest().target is None, "the reset")
 
@@ -104,7 +104,7 @@ def test_keys_work_whatever_has_the_focus_but_a_text_field(
     assert (session.handle.translation == before).all()
     visitor.tab.keyboard.press("Escape")  # leaves the field
     nudged(visitor, session)
-    session.set_standoff(20e-6)
+    session.set(standoff=20e-6)
 
 
 def test_loading_a_scenario_moves_no_button(visitor: Visitor, session: Session) -> None:

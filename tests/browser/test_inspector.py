@@ -26,8 +26,8 @@ def tab(visit: Callable[[], Visitor], session: Session, page: Page) -> Iterator[
     if session.scene.mesh_name != MESH:
         session.change(mesh=MESH)
     session.resume()
-    session.set_rule("certified")
-    session.set_radius(5e-3)
+    session.set(rule="certified")
+    session.set(radius=5e-3)
     session.reset()
     visitor = visit()
     start = session.scene.T_base_start

@@ -24,8 +24,8 @@ def _fresh(session: Session) -> None:
     if session.scene.mesh_name != MESH:
         session.change(mesh=MESH)
     session.resume()
-    session.set_rule("certified")
-    session.set_radius(5e-3)
+    session.set(rule="certified")
+    session.set(radius=5e-3)
     session.reset()
     wait_until(lambda: np.allclose(tip(session), start(session), atol=1e-6), "the reset")
 
@@ -156,7 +156,7 @@ def test_recall_puts_the_proxy_back_onto_the_tool(
 
 
 def test_choosing_a_rule_changes_the_planes(visitor: Visitor, session: Session, page: Page) -> None:
-    session.set_radius(2e-3)  # rule "all" in a larger sphere overwhelms a software renderer
+    session.set(radius=2e-3)  # rule "all" in a larger sphere overwhelms a software renderer
     drag_gizmo(visitor, page, axis=2, distance=0.02)
     rest(session)
     wait_until(lambda: len(session.latest().step.planes) > 0, "contact")
@@ -225,8 +225,8 @@ def test_typed_values_out_of_range_are_put_right(visitor: Visitor, session: Sess
 def test_a_second_client_sees_the_same(
     visit: Callable[[], Visitor], visitor: Visitor, session: Session, page: Page
 ) -> None:
-    session.set_rule("paper")
-    session.set_radius(2e-3)
+    session.set(rule="paper")
+    session.set(radius=2e-3)
     drag_gizmo(visitor, page, axis=2, distance=0.02)
     rest(session)
     second = visit()
@@ -250,7 +250,7 @@ def test_a_second_client_sees_the_same(
 
 @pytest.mark.slow
 def test_the_page_survives_a_reload(visitor: Visitor, session: Session, page: Page) -> None:
-    session.set_rule("paper")
+    session.set(rule="paper")
     drag_gizmo(visitor, page, axis=0, distance=0.01)
     wait_until(lambda: session.latest().target is not None, "a proxy")
     pose = page.gizmo_pose[1]

@@ -132,8 +132,8 @@ def test_while_a_replay_is_shown_the_session_waits_and_all_is_back_afterwards(
     """The recording is of another mesh and rule than the session has by then, and of a corridor."""
     box = visitor.tab.get_by_role
     session.change(mesh="skull-coarse")
-    session.set_rule("all")
-    session.set_corridor(2e-3)
+    session.set(rule="all")
+    session.set(corridor=2e-3)
     session.set_autopilot(True)
     visitor.press("Record")
     wait_until(lambda: session.tape is not None and session.tape.rows > 300, "ticks")
@@ -141,8 +141,8 @@ def test_while_a_replay_is_shown_the_session_waits_and_all_is_back_afterwards(
     wait_until(lambda: not session.tape.running, "the file")
     session.set_autopilot(False)
     session.change(mesh="cube")
-    session.set_rule("paper")
-    session.set_corridor(None)
+    session.set(rule="paper")
+    session.set(corridor=None)
     wait_until(lambda: page.shown.scene.mesh_name == "cube", "the cube")
     visitor.press("Arm")
     wait_until(lambda: visitor.client.camera.position[2] > 3.0, "the view of the arm")

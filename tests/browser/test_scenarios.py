@@ -96,7 +96,7 @@ def test_picks_a_scenario_reads_its_sentence_and_sees_it(
 def test_saves_what_is_set_and_starts_with_it_again(
     visitor: Visitor, session: Session, tmp_path: Path
 ) -> None:
-    session.set_radius(1.5e-3)
+    session.set(radius=1.5e-3)
     session.set_autopilot(False)
     session.nudge([0.0, 0.0, 5e-3])
     wait_until(lambda: session.latest().target is not None, "the proxy")
@@ -117,7 +117,7 @@ def test_opens_what_was_saved_and_looks_at_it_from_the_same_place(
     visitor: Visitor, session: Session, tmp_path: Path
 ) -> None:
     session.change(mesh="stairs")
-    session.set_radius(1.25e-3)
+    session.set(radius=1.25e-3)
     session.nudge([2e-3, 0.0, 3e-3])
     wait_until(lambda: session.latest().target is not None, "the proxy")
     visitor.press("Anatomy")

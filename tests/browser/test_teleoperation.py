@@ -25,9 +25,9 @@ def _fresh(session: Session) -> Iterator[None]:
         if session.scene.mesh_name != "skull-coarse":
             session.change(mesh="skull-coarse")
         session.resume()
-        session.set_rule("certified")
-        session.set_radius(5e-3)
-        session.set_orientation_lock(False)
+        session.set(rule="certified")
+        session.set(radius=5e-3)
+        session.set(lock_orientation=False)
         session.reset()
         wait_until(lambda: session.latest().target is None, "the reset")
 
@@ -110,7 +110,7 @@ def test_reads_the_plots_and_sees_how_deep_the_tool_goes_without_a_fixture(
     for curve in ("Condition 1", "Condition 2", "Condition 3", "median", "worst"):
         assert visitor.tab.locator(".u-legend").get_by_text(curve, exact=True).is_visible()
     start = session.scene.T_base_start
-    session.set_rule("off")
+    session.set(rule="off")
     session.drive(pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.016])))
     wait_until(lambda: visitor.tab.evaluate(newest)[0][0] < -0.1, "the depth in the plot")
     visitor.picture("signals")

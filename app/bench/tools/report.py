@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from app.console import Column, show_table
-from app.settings import format_length
+from app.words import format_length
 
 
 def header(result: dict[str, Any], console: Console) -> None:

@@ -16,84 +16,74 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
-from app import limits
+from app.kinds import Kind, Length, Number, Switch, Whole, shown
+from app.options import check_keys, declared, option
 from app.scene.scene import corridor
 from app.studies.experiments import cutting, judge, registration, site, smoothness
+from app.studies.experiments.description import Trial
 from app.studies.experiments.follower import ControlledArm
-from app.studies.experiments.limits import EXPERIMENTS, OUTCOME, RULES, TRIAL
 from app.studies.experiments.operators import Operator
 from app.studies.experiments.site import PlannedCut
 from app.studies.experiments.trial import Run, perform
+from app.words import OptionError
 
 FloatArray = NDArray[np.float64]
 
+LONGEST = 1e6  # [s] of simulated or computing time
 RADIUS = 5e-3  # of the motion sphere, the paper's [m]
-LOCALISATION = 0.35e-3  # fiducial localisation error, 3D root mean square, assumed [m]
 SAMPLED = 100.0  # the smoothness is judged at, and trajectories are kept at [Hz]
 OPERATORS_DIFFER = 0.15  # log-normal spread of the calibrated values among operators, assumed
 
 
+class Mapping(Kind):
+    """A JSON object; what is in it is checked where it is made into something."""
+
+    def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, dict):
+            raise OptionError(f"{name} must be an object {{…}}, not {shown(value)}")
+
+
+class Counts(Mapping):
+    """A JSON object of counts by name."""
+
+    def check(self, name: str, value: Any) -> None:
+        super().check(name, value)
+        for key, count in value.items():
+            _COUNT.check(f"{name} {shown(key)}", count)
+
+
 @dataclass(frozen=True)
-class Trial:
-    """One trial, completely described.
+class Table(Kind):
+    """Rows of numbers as JSON has them: `rows` rows, or each of `columns` numbers; null: none."""
 
-    Attributes:
-        experiment: tracing or cutting.
-        rule: off is plain teleoperation; certified or paper guard the inner surface, and a corridor
-            the path.
-        number: tells trials of one kind apart.
-        operator: 0 is the calibrated one, any other number somebody else.
-        mesh: skull, skull-coarse or skull-fine.
-        noise: fiducial localisation error [m].
-        width: of the corridor to either side [m].
-        seed: of everything random.
-        rate: ticks per second [Hz].
-        length: of the planned cut, None: all of it [m].
+    low: float
+    high: float
+    rows: int | None = None
+    columns: int | None = None
 
-    Raises:
-        OptionError: a value that is none of these.
-    """
-
-    experiment: str
-    rule: str
-    number: int = 0
-    operator: int = 0
-    mesh: str = "skull"
-    noise: float = LOCALISATION
-    width: float = 1e-3
-    seed: int = 0
-    rate: float = 1000.0
-    length: float | None = None
-
-    def __post_init__(self) -> None:
-        limits.check(self, TRIAL)
-
-    @property
-    def key(self) -> str:
-        """A name for files: equal for equal trials, different for different ones."""
-        length = "all" if self.length is None else f"{self.length * 1e3:g}mm"
-        return (
-            f"{self.experiment}-{self.mesh}-{self.rule}-noise{self.noise * 1e6:g}um"
-            f"-width{self.width * 1e6:g}um-{length}-{self.rate:g}hz"
-            f"-seed{self.seed}-operator{self.operator}-{self.number}"
+    def check(self, name: str, value: Any) -> None:
+        rows: list[list[Any]] = value if isinstance(value, list) else []
+        sound = (
+            isinstance(value, list)
+            and all(isinstance(row, list) for row in rows)
+            and self.rows in (None, len(rows))
+            and all(self.columns in (None, len(row)) for row in rows)
         )
+        if not sound:
+            shape = f"{self.rows} row" if self.rows else f"rows of {self.columns} numbers"
+            raise OptionError(f"{name} must be a table of {shape}, not {shown(value)}")
+        for number in (x for row in rows for x in row if x is not None):
+            known = isinstance(number, int | float) and not isinstance(number, bool)
+            if not known or not self.low <= number <= self.high:
+                raise OptionError(
+                    f"{name} has {shown(number)}, which is no number from {self.low:g} "
+                    f"to {self.high:g}"
+                )
 
-    @property
-    def assisted(self) -> bool:
-        return self.rule != "off"
 
-    def generator(self, purpose: int) -> np.random.Generator:
-        """Randomness for one purpose.
-
-        Tracing is compared in pairs: trials that differ in the rule alone have the same operator on
-        the same day. Cutting needs a new skull every time, so no two trials share anything.
-        """
-        apart = RULES.index(self.rule) if self.experiment == "cutting" else 0
-        entropy = (
-            self.seed, EXPERIMENTS.index(self.experiment), self.operator, self.number, apart,
-            purpose,
-        )  # fmt: skip
-        return np.random.default_rng(np.random.SeedSequence(entropy))
+_COUNT = Whole(0, 10**9)  # of ticks and of what happens in them
+_TIME = Number(0.0, LONGEST, "s")
+_ERROR = Length(0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -115,26 +105,26 @@ class Outcome:
         trajectory: (m, 4) station, aside, height and time of the tip at `SAMPLED`.
     """
 
-    trial: Trial
-    duration: float
-    finished: bool
-    sal: float
-    sparc: float
-    fre: float
-    tre: float
-    stations: FloatArray
-    deviation: FloatArray
-    penetration: FloatArray
-    removed: float
-    crossings: int
-    outside: int
-    ticks: int
-    statuses: dict[str, int]
-    submovements: int
-    corrections: int
-    elapsed: float
-    driving: float
-    trajectory: FloatArray
+    trial: Trial = option(Mapping())
+    duration: float = option(_TIME)
+    finished: bool = option(Switch())
+    sal: float = option(Number(-1e6, 0.0))
+    sparc: float = option(Number(-1e6, 0.0))
+    fre: float = option(_ERROR)
+    tre: float = option(_ERROR)
+    stations: FloatArray = option(Table(0.0, 1.0, rows=1))
+    deviation: FloatArray = option(Table(-1.0, 1.0, rows=1))
+    penetration: FloatArray = option(Table(-1.0, 1.0, rows=1))
+    removed: float = option(Number(0.0, 1.0, "m³"))
+    crossings: int = option(_COUNT)
+    outside: int = option(_COUNT)
+    ticks: int = option(_COUNT)
+    statuses: dict[str, int] = option(Counts())
+    submovements: int = option(_COUNT)
+    corrections: int = option(_COUNT)
+    elapsed: float = option(_TIME)
+    driving: float = option(_TIME)
+    trajectory: FloatArray = option(Table(-LONGEST, LONGEST, columns=4))
 
     def to_json(self) -> dict[str, Any]:
         """Everything as plain values; `from_json` gives back an equal outcome."""
@@ -155,11 +145,11 @@ class Outcome:
         Raises:
             OptionError: a key that does not belong there or is missing, or a value out of range.
         """
-        limits.check_object("the outcome of a trial", content, OUTCOME)
-        assert isinstance(content, dict)
-        values = dict(content)
-        limits.check_object("its trial", values["trial"], TRIAL)
-        values["trial"] = Trial(**values["trial"])
+        told = declared(Outcome)
+        values = dict(check_keys("the outcome of a trial", content, told))
+        for name, value in values.items():
+            told[name].kind.check(name, value)
+        values["trial"] = Trial(**check_keys("its trial", values["trial"], declared(Trial)))
         for name in ("stations", "deviation", "penetration", "trajectory"):
             array = np.array(values[name], dtype=np.float64)
             values[name] = array.reshape(-1, 4) if name == "trajectory" else array[0]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
-from app.settings import OptionError
+from app.words import OptionError
 from meshes.builtin import skull
 
 FloatArray = NDArray[np.float64]

@@ -21,8 +21,8 @@ from app.bench.queries import Peer
 from app.bench.tools import reference, report, settings
 from app.bench.tools import route as routes
 from app.bench.tools.machine import write
-from app.commands import bench
-from app.settings import OptionError
+from app.commands import call
+from app.words import OptionError
 from meshes.builtin import cache, ladder
 
 SMALL = ladder.Source("organic", ladder.organic, "organic")
@@ -306,27 +306,27 @@ def test_unusable_options_are_refused(kind: type, values: dict) -> None:
 
 def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--sizes", "2048", "--radii", "2mm", "--ticks", "200", "--passes", "1"]
-    assert bench.main(["runtime", *words, "--out", str(tmp_path)]) == 0
+    assert call("bench", ["runtime", *words, "--out", str(tmp_path)]) == 0
     assert "written" in capsys.readouterr().out
     stored = json.loads((tmp_path / "runtime.json").read_text())
     assert stored["rows"][0]["radius [m]"] == 2e-3
-    assert bench.main(["walk"]) == 2
+    assert call("bench", ["walk"]) == 2
     assert "choose one of runtime, peers, loop" in capsys.readouterr().err
-    assert bench.main(["runtime", *words, "--rules", "magic"]) == 2
+    assert call("bench", ["runtime", *words, "--rules", "magic"]) == 2
     assert "unknown rule 'magic'" in capsys.readouterr().err
-    assert bench.main(["loop", "--phases", "dancing"]) == 2
+    assert call("bench", ["loop", "--phases", "dancing"]) == 2
     assert "idle, dragging, loading, examining, joining" in capsys.readouterr().err
 
 
 def test_from_a_file_to_a_guarded_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--mesh", "torus", "--passes", "1", "--formats", "stl", "--out", str(tmp_path)]
-    assert bench.main(["meshes", *words]) == 0
+    assert call("bench", ["meshes", *words]) == 0
     assert "STL file to a ready fixture" in capsys.readouterr().out
     stored = json.loads((tmp_path / "meshes.json").read_text())
     assert stored["turned back"] == stored["flipped"] > 0
     assert all(seconds > 0.0 for seconds in stored["seconds"].values())
-    assert bench.main(["meshes", "--formats", "doc"]) == 2
-    assert "choose from stl, ply, obj, off, glb" in capsys.readouterr().err
+    assert call("bench", ["meshes", "--formats", "doc"]) == 2
+    assert "choose one of stl, ply, obj, off, glb" in capsys.readouterr().err
 
 
 def test_delays_pair_each_drag_with_the_first_move_after_it() -> None:

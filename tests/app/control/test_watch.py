@@ -228,7 +228,7 @@ def test_a_session_latches_a_crossing_until_its_reset(wait_until: Callable[..., 
         assert session.crossing is None
         session.drive(below(session.scene, 0.03))
         wait_until(lambda: session.crossing is not None)
-        session.set_rule("certified")
+        session.set(rule="certified")
         session.drive(below(session.scene, 0.0))
         tick = session.latest().tick
         wait_until(lambda: session.latest().tick > tick + 100)

@@ -54,11 +54,11 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["chunks"] = [4096] * 1000
 
-    @case("chunk", "rows of a chunk is 1000000000000")
+    @case("chunk", "Expected `int` <= 4096 - at `\\$.chunks")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["chunks"] = [10**12]
 
-    @case("orders", "number of orders is -1")
+    @case("orders", "Expected `int` >= [01] - at `\\$.orders`")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["orders"] = -1
 
@@ -74,7 +74,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
         target[1] = np.inf
         members["orders/target.npy"] = npy(target)
 
-    @case("nan header", "NaN in the header")
+    @case("nan header", "the header is damaged: JSON is malformed")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["state"]["q"][0] = math.nan
 
@@ -110,7 +110,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["radius"] = 1e9
 
-    @case("option kind", "option rule in the header is not usable")
+    @case("option kind", "option in the header is not usable: unknown rule")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["plants"][0]["options"]["rule"] = ["certified"]
 
@@ -150,9 +150,9 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     for name, value, line in (
         ("times", [0.0, 0.0], "do not rise from 0"),
         ("times", [1.0, 2.0], "do not rise from 0"),
-        ("times", "soon", "not 1 to 1000 finite numbers"),
+        ("times", "soon", "Expected `array`, got `str` - at `\\$.plants.*times`"),
         ("points", [[0.0] * 3], "not 2 rows"),
-        ("points", [[0.0] * 2] * 2, "not of three columns"),
+        ("points", [[0.0] * 2] * 2, "Expected `array` of length 3 - at `\\$.plants.*points"),
         ("times", [0.0, 1e300], "goes on for 1e.300 s, at most 600 s"),
         ("points", [[0.0] * 3, [0.0, 0.0, 1e300]], "is more than 4 m from the base"),
         ("rotation", [[2.0, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation of a course"),
@@ -173,7 +173,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
             }
             header["plants"][0]["course"] = {**course, name: value}
 
-    @case("checksum", "not a SHA-256")
+    @case("checksum", "Expected `str`, got `int` - at `\\$.places.*checksum`")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["places"][0]["checksum"] = 5
 
@@ -181,15 +181,15 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["state"]["target"] = np.zeros((4, 4)).tolist()
 
-    @case("pose kind", "target in the header is not")
+    @case("pose kind", "Expected `array`, got `int` - at `\\$.state.target")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["state"]["target"] = [1, 2, 3, 4]
 
-    @case("huge number", "joints in the header is not")
+    @case("huge number", "header is damaged: .*ange")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["state"]["q"] = [10**400]
 
-    @case("nothing", "'places' in the header|place of a plant")
+    @case("nothing", "at `\\$.places`|place of a plant is 0, of 0")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["places"] = []
 
@@ -228,15 +228,18 @@ HOSTILE_BLOCKS: dict[str, tuple[Callable[[list], list], str]] = {
         lambda b: [*b[:2], (b"PART", 0, zlib.compress(b"\xff\xff\xff\xff{"))],
         "a part of it is damaged",
     ),
-    "no object": (lambda b: [*b[:2], (b"PART", 0, pack([], b""))], "no JSON object"),  # type: ignore[arg-type]
+    "no object": (lambda b: [*b[:2], (b"PART", 0, pack([], b""))], "got `array`"),  # type: ignore[arg-type]
     "more rows than said": (
         lambda b: [*b[:2], (b"PART", 1, part({}, bytes(2 * ROWS.itemsize)))],
         "bytes, not",
     ),
-    "many orders": (lambda b: [*b[:2], (b"PART", 0, part({"orders": 10**9}))], "number of orders"),
+    "many orders": (
+        lambda b: [*b[:2], (b"PART", 0, part({"orders": 10**9}))],
+        "Expected `int` <= 4097 - at `\\$.orders`",
+    ),
     "orders below none": (
         lambda b: [*b[:2], (b"PART", 0, part({"orders": -1}))],
-        "of orders is -1",
+        "Expected `int` >= 0 - at `\\$.orders`",
     ),
     "two heads": (lambda b: [b[0], *b], "HEAD is where none belongs"),
     "no head": (lambda b: b[1:], "PART is where none belongs"),
@@ -244,9 +247,13 @@ HOSTILE_BLOCKS: dict[str, tuple[Callable[[list], list], str]] = {
     "another number of rows": (lambda b: [*b[:-1], (b"LAST", 5, b[-1][2])], "rows, not 5"),
     "a note that is none": (
         lambda b: [*b[:-1], (b"LAST", b[-1][1], b'{"note": ["x"]}')],
+        "Expected `str`, got `array` - at `\\$.note`",
+    ),
+    "a note of two lines": (
+        lambda b: [*b[:-1], (b"LAST", b[-1][1], b'{"note": "a\\nb"}')],
         "note in the header is no text",
     ),
-    "no note": (lambda b: [*b[:-1], (b"LAST", b[-1][1], b"null")], "no JSON object"),
+    "no note": (lambda b: [*b[:-1], (b"LAST", b[-1][1], b"null")], "got `null`"),
 }
 
 

@@ -18,7 +18,7 @@ from forgery import forged, npy
 from runs import a_run
 
 import meshes
-from app.commands import replay as command
+from app.commands import call
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats
 from app.recording import export, playback, rerun
@@ -53,22 +53,22 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         drive(0.001, -0.01)
         session.record(path)
         drive(0.003, -0.05)
-        session.set_rule("paper")
+        session.set(rule="paper")
         ticks()
-        session.set_radius(None)
-        session.set_standoff(50e-6)
-        session.set_tip_radius(1e-4)
-        session.set_force_gain(80.0)
-        session.set_tip_speed(0.5)
-        session.set_scale(0.5)
-        session.set_orientation_lock(True)
+        session.set(radius=None)
+        session.set(standoff=50e-6)
+        session.set(tip_radius=1e-4)
+        session.set(force_gain=80.0)
+        session.set(tip_speed=0.5)
+        session.set(scale=0.5)
+        session.set(lock_orientation=True)
         drive(-0.004, -0.05)
         session.clutch(True)
         ticks()
         session.clutch(False)
         session.pause()
         session.single_step()
-        session.set_rule("certified")
+        session.set(rule="certified")
         session.resume()
         session.reset()
         drive(0.0, -0.05)
@@ -127,9 +127,9 @@ def test_a_changed_command_shows_in_the_joints(sound: Path) -> None:
 def test_the_command_line_checks_and_says_so(
     sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.main([str(sound), "--check"]) == 0
+    assert call("replay", [str(sound), "--check"]) == 0
     assert "the same to the last bit" in capsys.readouterr().out
-    assert command.main([str(sound)]) == 0
+    assert call("replay", [str(sound)]) == 0
     assert "not compared" in capsys.readouterr().out
 
     def other(header: dict[str, Any], members: dict[str, bytes]) -> None:
@@ -138,15 +138,15 @@ def test_the_command_line_checks_and_says_so(
         members["rows/00000/q.npy"] = npy(q)
 
     changed = forged(sound, tmp_path, other)
-    assert command.main([str(changed), "--check"]) == 1
+    assert call("replay", [str(changed), "--check"]) == 1
     assert "tick 21: q differs" in capsys.readouterr().out
-    assert command.main([str(tmp_path / "none"), "--check"]) == 2
+    assert call("replay", [str(tmp_path / "none"), "--check"]) == 2
     assert "none" in capsys.readouterr().err
 
 
 def test_csv_has_a_line_a_tick_and_its_units(sound: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.csv"
-    assert command.main([str(sound), "--csv", str(out)]) == 0
+    assert call("replay", [str(sound), "--csv", str(out)]) == 0
     with out.open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     recording = read(sound)
@@ -303,10 +303,10 @@ def test_a_mesh_whose_file_is_called_anything_is_recorded_and_found_from_anywher
     a_run(tmp_path / "run.vfrec", replace(CUBE, mesh=str(path), unit="mm"), 5)
     monkeypatch.chdir("/")
     assert read(tmp_path / "run.vfrec").places[0].options.mesh == str(tmp_path / path)
-    assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 0
+    assert call("replay", [str(tmp_path / "run.vfrec"), "--check"]) == 0
     assert "the same to the last bit" in capsys.readouterr().out
     (tmp_path / path).rename(tmp_path / "moved.stl")
-    assert command.main([str(tmp_path / "run.vfrec"), "--check"]) == 2
+    assert call("replay", [str(tmp_path / "run.vfrec"), "--check"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

@@ -16,7 +16,7 @@ import killed
 import numpy as np
 import pytest
 
-from app.commands import replay as command
+from app.commands import call
 from app.recording import rerun
 from app.recording.format import RecordingError
 from app.recording.read import read
@@ -87,12 +87,12 @@ def test_the_command_line_says_what_is_left_and_what_is_not(
     path.write_bytes(sound.read_bytes()[:-90])
     left = len(read(path).rows)
     assert 0 < left < len(read(sound).rows)
-    assert command.main([str(path), "--check"]) == 0
+    assert call("replay", [str(path), "--check"]) == 0
     out = capsys.readouterr().out
     assert f"The recording was cut off: {left * 1e-3:.2f} of at least" in out
     assert f"{left} ticks the same to the last bit as far as they are readable" in out
     csv = tmp_path / "cut.csv"
-    assert command.main([str(path), "--csv", str(csv)]) == 0
+    assert call("replay", [str(path), "--csv", str(csv)]) == 0
     assert "cut off" in capsys.readouterr().out
     assert len(csv.read_text().splitlines()) == 1 + left
 

@@ -9,11 +9,13 @@ import pytest
 
 import meshes
 import vf
+from app.options import parse_as
 from app.refused import Refused
 from app.scene import scene as scenes
 from app.session import Session
-from app.settings import OptionError, Options, parse
+from app.settings import Options
 from app.view.corridor import far_end
+from app.words import OptionError
 
 SKULL = Options(mesh="skull-coarse", robot="point", corridor=1e-3)
 
@@ -38,14 +40,14 @@ def test_a_tool_driven_aside_stops_at_the_width() -> None:
 def test_the_width_is_set_clamped_and_switched_off_while_running() -> None:
     session = Session(replace(SKULL, corridor=None))
     assert len(session._orders.plant.controller.fixtures) == 1
-    assert session.set_corridor(0.5) == 0.02
-    assert session.set_corridor(2e-3) == 2e-3
+    assert session.set(corridor=0.5).corridor == 0.02
+    assert session.set(corridor=2e-3).corridor == 2e-3
     corridor = session._orders.plant.controller.fixtures[1]
     assert isinstance(corridor, vf.CorridorFixture)
     assert corridor.width == 2e-3
     np.testing.assert_allclose(corridor.direction, [0.0, 0.0, -1.0], atol=0.2)
     assert abs(corridor.direction[0]) < 1e-12  # the sagittal plane
-    assert session.set_corridor(None) is None
+    assert session.set(corridor=None).corridor is None
     assert len(session._orders.plant.controller.fixtures) == 1
 
 
@@ -55,7 +57,7 @@ def test_without_a_path_there_is_no_corridor() -> None:
     assert any("No path is planned" in note for note in session.scene.notes)
     assert len(session._orders.plant.controller.fixtures) == 1
     with pytest.raises(Refused, match="no path is planned"):
-        session.set_corridor(1e-3)
+        session.set(corridor=1e-3)
 
 
 def test_a_path_from_a_file_is_taken_to_the_base_frame(tmp_path: Path) -> None:
@@ -82,10 +84,10 @@ def test_what_is_no_path_is_refused(tmp_path: Path, text: str, word: str) -> Non
 
 
 def test_the_width_on_the_command_line() -> None:
-    assert parse(["--corridor", "2mm"], "").corridor == 2e-3
-    assert parse(["--corridor", "off"], "").corridor is None
+    assert parse_as(Options, "vf-sandbox", ["--corridor", "2mm"]).corridor == 2e-3
+    assert parse_as(Options, "vf-sandbox", ["--corridor", "off"]).corridor is None
     with pytest.raises(OptionError, match="outside"):
-        parse(["--corridor", "1m"], "")
+        parse_as(Options, "vf-sandbox", ["--corridor", "1m"])
 
 
 def test_the_name_of_the_cut_stands_at_the_end_that_is_away_from_the_tip() -> None:

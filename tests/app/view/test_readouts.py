@@ -33,8 +33,8 @@ def running() -> Iterator[Session]:
 @pytest.fixture
 def session(running: Session, wait_until: Wait) -> Session:
     running.resume()
-    running.set_rule("certified")
-    running.set_standoff(20e-6)
+    running.set(rule="certified")
+    running.set(standoff=20e-6)
     running.reset()
     wait_until(lambda: running.latest().step is not None and says(running, "Ready"))
     return running
@@ -98,7 +98,7 @@ def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
     wait_until(lambda: step_of(session).distance < 1e-4)
     session.pause()
     wait_until(lambda: says(session, "Paused. Run"))
-    session.set_standoff(5e-4)
+    session.set(standoff=5e-4)
     tick = session.latest().tick
     session.single_step()
     # The status alone is not enough: the new standoff shows before the step is done.
@@ -110,13 +110,13 @@ def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
 def test_a_tool_that_went_inside_without_a_fixture_is_told_so(
     session: Session, wait_until: Wait
 ) -> None:
-    session.set_rule("off")
+    session.set(rule="off")
     session.drive(into(session))
     wait_until(lambda: says(session, "No fixture (rule off)"))
     wait_until(
         lambda: np.allclose(step_of(session).tip.translation, into(session).translation),
     )
-    session.set_rule("certified")
+    session.set(rule="certified")
     wait_until(lambda: says(session, "Inside the anatomy"))
     session.pause()
     wait_until(lambda: says(session, "Paused. The tool is inside the anatomy."))

@@ -84,8 +84,8 @@ def session(request: pytest.FixtureRequest, sheet: Path) -> Iterator[Session]:
 
 def go(session: Session, height: float, wait_until: Wait) -> None:
     """Lead the tool without a fixture to a height over the mesh's top [m]."""
-    session.set_rule("off")
-    session.set_tip_radius(0.0)
+    session.set(rule="off")
+    session.set(tip_radius=0.0)
     session.reset()
     wait_until(lambda: session.crossing is None and session.latest().target is None)
     start = session.scene.T_base_start
@@ -109,7 +109,7 @@ def settle(session: Session, wait_until: Wait) -> None:
 def rules(session: Session, wait_until: Wait) -> Iterator[tuple[str, Told]]:
     """Every rule, and what the page says under it where the tool is."""
     for rule in vf.RULES:
-        session.set_rule(rule)
+        session.set(rule=rule)
         settle(session, wait_until)
         yield rule, Told(session)
 
@@ -167,7 +167,7 @@ def test_a_ball_is_measured_from_its_centre_and_from_its_surface(
     session: Session, wait_until: Wait
 ) -> None:
     go(session, 0.004, wait_until)
-    session.set_tip_radius(0.001)
+    session.set(tip_radius=0.001)
     for rule, told in rules(session, wait_until):
         true = 1e3 * distance(session, told.p_tip)
         assert told.number("tip’s centre to surface") == pytest.approx(true, abs=6e-4)
@@ -177,7 +177,7 @@ def test_a_ball_is_measured_from_its_centre_and_from_its_surface(
     go(session, 0.004, wait_until)
     session.pause()
     wait_until(lambda: session.latest().paused)
-    session.set_tip_radius(0.005)  # now it overlaps, though nothing moved
+    session.set(tip_radius=0.005)  # now it overlaps, though nothing moved
     told = Told(session)
     true = 1e3 * distance(session, told.p_tip)
     assert told.where.overlaps

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import meshes
-from app.settings import OptionError
 from app.studies.experiments import judge, protocol, site
+from app.studies.experiments.description import EXPERIMENTS
 from app.studies.experiments.operators import Operator
 from app.studies.experiments.protocol import Outcome, Trial
 from app.studies.results import analysis, report
+from app.words import OptionError
 
 SHORT = Trial("cutting", "certified", mesh="skull-coarse", rate=50.0, length=2e-3)
 
@@ -21,7 +22,7 @@ SHORT = Trial("cutting", "certified", mesh="skull-coarse", rate=50.0, length=2e-
 def outcomes() -> list[Outcome]:
     return [
         protocol.run(dataclasses.replace(SHORT, experiment=experiment, rule=rule, number=number))
-        for experiment in protocol.EXPERIMENTS
+        for experiment in EXPERIMENTS
         for number in range(2)
         for rule in ("off", "certified")
     ]
@@ -90,7 +91,7 @@ def test_modes_of_tracing_share_the_day_and_skulls_are_new() -> None:
 
 
 def test_the_report_holds_all_it_shows(outcomes: list[Outcome], tmp_path) -> None:
-    for experiment in protocol.EXPERIMENTS:
+    for experiment in EXPERIMENTS:
         mine = of(outcomes, experiment)
         written = {path.name: path for path in report.write(mine, tmp_path / experiment)}
         page = written["report.html"].read_text("utf-8")

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from app.commands import experiment as experiment_command
-from app.commands import study as study_command
-from app.settings import OptionError
+from app.commands import call
 from app.studies import batch as study
+from app.words import OptionError
 
 GRID = {
     "experiments": ["cutting"],
@@ -105,7 +104,7 @@ def test_two_workers_give_the_same_bytes_though_one_is_killed(tmp_path: Path) ->
 def test_the_command_writes_a_summary(tmp_path: Path, capsys) -> None:
     words = ["--operators", "1", "--meshes", "skull-coarse", "--rate", "50", "--length", "2mm",
              "--workers", "0", "--out", str(tmp_path)]  # fmt: skip
-    assert study_command.main(words) == 0
+    assert call("study", words) == 0
     assert len(files(tmp_path / "trials")) == 2
     assert len((tmp_path / "summary.csv").read_text("utf-8").splitlines()) == 3
     assert "certified" in capsys.readouterr().out
@@ -114,7 +113,7 @@ def test_the_command_writes_a_summary(tmp_path: Path, capsys) -> None:
 def test_experiments_from_the_command_line(tmp_path: Path, capsys) -> None:
     words = ["cutting", "--mesh", "skull-coarse", "--rate", "50", "--length", "2mm",
              "--out", str(tmp_path)]  # fmt: skip
-    assert experiment_command.main(words) == 0
+    assert call("experiment", words) == 0
     out = capsys.readouterr().out
     assert "0 violations" in out
     assert "0.63 ± 0.30" in out  # the paper's
@@ -122,23 +121,27 @@ def test_experiments_from_the_command_line(tmp_path: Path, capsys) -> None:
 
 
 @pytest.mark.parametrize(
-    ("main", "words", "word"),
+    ("command", "words", "word"),
     [
-        (experiment_command.main, ["sewing"], "tracing, cutting"),
-        (experiment_command.main, ["cutting", "--rule", "all"], "certified, paper"),
-        (experiment_command.main, ["tracing", "--mesh", "cube"], "skull-fine"),
-        (experiment_command.main, ["tracing", "--trials", "0"], "trials 0 is outside 1 to 10000"),
+        ("experiment", ["sewing"], "tracing, cutting"),
+        ("experiment", ["cutting", "--rule", "all"], "certified, paper"),
+        ("experiment", ["tracing", "--mesh", "cube"], "skull-fine"),
+        ("experiment", ["tracing", "--trials", "0"], "trials 0 is outside 1 to 10000"),
         pytest.param(
-            study_command.main,
+            "study",
             ["--scheduler", "tcp://127.0.0.1:9"],
             "127.0.0.1",
             marks=pytest.mark.slow,  # waits ten seconds for an answer
         ),
     ],
 )
-def test_bad_input_gets_one_line(main, words: list[str], word: str, tmp_path, capsys) -> None:
+def test_bad_input_gets_one_line(
+    command: str, words: list[str], word: str, tmp_path, capsys
+) -> None:
     try:
-        code = main([*words, "--out", str(tmp_path / "out")] if words != ["sewing"] else words)
+        code = call(
+            command, [*words, "--out", str(tmp_path / "out")] if words != ["sewing"] else words
+        )
         message = capsys.readouterr().err
     except OptionError as error:
         code, message = 2, str(error)

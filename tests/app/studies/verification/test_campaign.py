@@ -15,7 +15,7 @@ from everyday import everyday
 import meshes
 import robots
 import vf
-from app.commands import verify
+from app.commands import call
 from app.studies.verification import campaign, oracles, scenes
 from meshes.builtin.damage import damage, kinds
 from vf.cover import Buffer
@@ -325,8 +325,8 @@ def test_the_command_says_that_nothing_got_through():
 
 
 def test_the_command_says_what_got_through_and_where(capsys):
-    code = verify.main(["--mesh", "cube", "--rule", "off", "--damage", "none", "--steps", "800",
-                        "--queries", "30", "--radius", "5mm"])  # fmt: skip
+    code = call("verify", ["--mesh", "cube", "--rule", "off", "--damage", "none", "--steps",
+                           "800", "--queries", "30", "--radius", "5mm"])  # fmt: skip
     out = capsys.readouterr().out
     assert code == 1
     assert re.search(r"[1-9]\d* crossings at radius 5mm, [1-9]\d* leaks", out)
@@ -338,7 +338,7 @@ def test_the_command_reads_a_mesh_file(tmp_path, capsys):
     path = tmp_path / "box.stl"
     trimesh.creation.box((20.0, 20.0, 20.0)).export(path)
     words = ["--mesh", str(path), "--unit", "mm", "--steps", "220"]
-    assert verify.main(words) == 0
+    assert call("verify", words) == 0
     out = capsys.readouterr().out
     for kind in kinds():
         assert kind in out
@@ -360,7 +360,7 @@ def test_the_command_reads_a_mesh_file(tmp_path, capsys):
     ],
 )
 def test_what_the_command_refuses(words, reason, capsys):
-    assert verify.main(words) == 2
+    assert call("verify", words) == 2
     out, told = capsys.readouterr()
     assert out == ""
     assert reason in told

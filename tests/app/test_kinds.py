@@ -1,4 +1,4 @@
-"""Every value that comes from outside has a limit, and is refused by name outside of it."""
+"""Every value that comes from outside has a kind, and is refused by name where it is not of it."""
 
 from __future__ import annotations
 
@@ -11,27 +11,34 @@ import pytest
 import meshes
 import robots
 import vf
-from app import choices, limits
-from app.limits import File, Length, Number, OneOf, Place, Switch, Text, Turn, Whole
-from app.scenarios.file import SCENARIO, Scenario, Waypoint
+from app import choices, kinds
+from app.kinds import (
+    File,
+    Kind,
+    Length,
+    Maybe,
+    Number,
+    OneOf,
+    Place,
+    Switch,
+    Text,
+    Turn,
+    Whole,
+    bare,
+)
+from app.options import Checked, declared, option
+from app.scenarios.file import Scenario, Waypoint
 from app.scenarios.presets import PRESETS
-from app.scenarios.values import WAYPOINT
-from app.settings import LIMITS, OptionError, Options
+from app.settings import DECLARED, Options
 from app.studies.experiments import protocol, site
-from meshes.builtin.damage import kinds
-
-TABLES: dict[type, dict[str, limits.Limit]] = {
-    Options: LIMITS,
-    Waypoint: WAYPOINT,
-    Scenario: SCENARIO,
-    protocol.Trial: protocol.TRIAL,
-    protocol.Outcome: protocol.OUTCOME,
-}
+from app.words import OptionError
+from meshes.builtin import damage
 
 
-def outside(limit: limits.Limit) -> list[Any]:
-    """What a limit has to refuse."""
-    none = [] if getattr(limit, "optional", False) else [None]
+def outside(kind: Kind) -> list[Any]:
+    """What a kind has to refuse."""
+    none = [] if isinstance(kind, Maybe) else [None]
+    limit = bare(kind)
     if isinstance(limit, Number):
         return [limit.low - 1.0, limit.high * 1.01 + 1.0, 1e300, -1e300, math.inf, -math.inf,
                 math.nan, 10**400, -(10**400), "5mm", True, [1.0], *none]  # fmt: skip
@@ -53,29 +60,23 @@ def outside(limit: limits.Limit) -> list[Any]:
     return []
 
 
-@pytest.mark.parametrize("kind", TABLES, ids=lambda kind: kind.__name__)
-def test_every_field_has_a_limit(kind: type) -> None:
-    fields = [field.name for field in dataclasses.fields(kind)]
-    assert sorted(TABLES[kind]) == sorted(fields)
-
-
-def test_a_field_without_a_limit_is_refused() -> None:
+def test_a_field_that_is_not_declared_is_refused() -> None:
     @dataclasses.dataclass(frozen=True)
-    class Another:
-        known: int = 1
+    class Another(Checked):
+        known: int = option(Whole(0, 2), 1)
         new: float = 1.0
 
     with pytest.raises(KeyError, match="new"):
-        limits.check(Another(), {"known": Whole(0, 2)})
+        Another()
 
 
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
     [
-        pytest.param(kind, name, value, id=f"{kind.__name__}-{name}-{limits.shown(value)}")
+        pytest.param(kind, name, value, id=f"{kind.__name__}-{name}-{kinds.shown(value)}")
         for kind in (Options, Waypoint, Scenario, protocol.Trial)
-        for name, limit in TABLES[kind].items()
-        for value in outside(limit)
+        for name, told in declared(kind).items()
+        for value in outside(told.kind)
     ],
 )
 def test_what_is_outside_a_limit_is_refused_by_name(kind: type, name: str, value: Any) -> None:
@@ -89,8 +90,8 @@ def test_what_is_outside_a_limit_is_refused_by_name(kind: type, name: str, value
     with pytest.raises(OptionError) as caught:
         kind(**{**sound[kind], name: value})
     message = str(caught.value)
-    limit = TABLES[kind][name]
-    called = limit.kind if isinstance(limit, OneOf) else name
+    limit = bare(declared(kind)[name].kind)
+    called = limit.what if isinstance(limit, OneOf) else name
     assert called in message
     assert "\n" not in message
     assert len(message) < 400
@@ -99,7 +100,8 @@ def test_what_is_outside_a_limit_is_refused_by_name(kind: type, name: str, value
 
 
 def test_the_ends_of_every_range_are_in_it() -> None:
-    for limit in LIMITS.values():
+    for told in DECLARED.values():
+        limit = bare(told.kind)
         if isinstance(limit, Number | Whole):
             limit.check("x", limit.low)
             limit.check("x", limit.high)
@@ -113,7 +115,7 @@ def test_the_choices_are_those_of_the_libraries() -> None:
     assert robots.names() == choices.ROBOTS
     assert vf.RULES == choices.RULES
     assert meshes.UPS == choices.AXES
-    assert kinds() == choices.DAMAGES
+    assert damage.kinds() == choices.DAMAGES
     assert meshes.FRAMES == choices.FRAMES
     assert sorted(meshes.UNITS) == sorted(choices.UNITS)
     assert meshes.names() == choices.MESHES

@@ -1,0 +1,88 @@
+"""What describes a trial. Cheap to import: the command line derives its options from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from app import choices
+from app.kinds import SEEDS, Length, Maybe, Number, OneOf, Whole
+from app.options import Checked, option
+
+if TYPE_CHECKING:
+    import numpy as np
+
+EXPERIMENTS = ("tracing", "cutting")
+RULES = ("off", "certified", "paper")
+WORKERS = Whole(0, 1000)  # processes of a study
+
+
+@dataclass(frozen=True)
+class Trial(Checked):
+    """One trial, completely described.
+
+    Attributes:
+        experiment: tracing or cutting.
+        rule: off is plain teleoperation; certified or paper guard the inner surface, and a corridor
+            the path.
+        number: tells trials of one kind apart.
+        operator: 0 is the calibrated one, any other number somebody else.
+        mesh: skull, skull-coarse or skull-fine.
+        noise: fiducial localisation error [m].
+        width: of the corridor to either side [m].
+        seed: of everything random.
+        rate: ticks per second [Hz].
+        length: of the planned cut, None: all of it [m].
+
+    Raises:
+        OptionError: a value that is none of these.
+    """
+
+    experiment: str = option(OneOf("experiment", EXPERIMENTS))
+    rule: str = option(OneOf("rule", RULES))
+    number: int = option(Whole(0, 10**6), 0)
+    operator: int = option(Whole(0, 10**6), 0)
+    mesh: str = option(OneOf("skull", choices.SKULLS), "skull", "Which of the built-in skulls.")
+    noise: float = option(
+        Length(0.0, 5e-3), 0.35e-3, "Fiducial localisation error, root mean square in 3D."
+    )  # the default is assumed
+    width: float = option(
+        Length(1e-4, 2e-2), 1e-3, "Of the corridor, to either side of the planned cut."
+    )
+    seed: int = option(Whole(*SEEDS), 0, "Of everything random.")
+    rate: float = option(
+        Number(50.0, 5000.0, "Hz"), 1000.0, "Ticks per second of simulated control."
+    )
+    length: float | None = option(
+        Maybe(Length(1e-3, 30e-3), "all"), None,
+        "How much of the planned cut is done, such as 5mm, or all of it.",
+    )  # fmt: skip
+
+    @property
+    def key(self) -> str:
+        """A name for files: equal for equal trials, different for different ones."""
+        length = "all" if self.length is None else f"{self.length * 1e3:g}mm"
+        return (
+            f"{self.experiment}-{self.mesh}-{self.rule}-noise{self.noise * 1e6:g}um"
+            f"-width{self.width * 1e6:g}um-{length}-{self.rate:g}hz"
+            f"-seed{self.seed}-operator{self.operator}-{self.number}"
+        )
+
+    @property
+    def assisted(self) -> bool:
+        return self.rule != "off"
+
+    def generator(self, purpose: int) -> np.random.Generator:
+        """Randomness for one purpose.
+
+        Tracing is compared in pairs: trials that differ in the rule alone have the same operator on
+        the same day. Cutting needs a new skull every time, so no two trials share anything.
+        """
+        import numpy as np
+
+        apart = RULES.index(self.rule) if self.experiment == "cutting" else 0
+        entropy = (
+            self.seed, EXPERIMENTS.index(self.experiment), self.operator, self.number, apart,
+            purpose,
+        )  # fmt: skip
+        return np.random.default_rng(np.random.SeedSequence(entropy))
