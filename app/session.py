@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -79,7 +77,6 @@ class Session:
         self._outbox: Mailbox[Telemetry] = Mailbox()
         self._watch = Watch()
         self._loop = ControlLoop(self._inbox, self._outbox, options.dt, self._ticked)
-        self._tape: Tape | None = None
         self._suspended = ""  # why orders are refused
         self._goes_on = True  # once it is not suspended any more
 
@@ -87,12 +84,7 @@ class Session:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def start(self) -> None:
@@ -104,9 +96,6 @@ class Session:
         """Stop the control thread and wait for it; finish a recording. Safe to call twice."""
         self._loop.close()
         self._watch.close()
-        self._loop.tape = None
-        if self._tape is not None:
-            self._tape.finish()
 
     def latest(self) -> Telemetry:
         """The newest tick. Never blocks."""
@@ -132,7 +121,7 @@ class Session:
     @property
     def tape(self) -> Tape | None:
         """The recording under way or, if none is, the last one; None: there was none."""
-        return self._tape
+        return self._loop.tape
 
     def record(self, path: Path | str) -> Tape:
         """Record every order and tick from the next tick on, until `stop_recording` or `close`.
@@ -144,14 +133,7 @@ class Session:
             Refused: a recording is under way, or the file cannot be made.
         """
         with self._turn():
-            if self._tape is not None and self._tape.running:
-                raise Refused("a recording is under way: stop it first")
-            try:
-                self._tape = Tape(path)
-            except OSError as error:
-                raise Refused(f"cannot record to {path}: {error.strerror or error}") from None
-            self._loop.tape = self._tape
-            return self._tape
+            return self._loop.record(path)
 
     def stop_recording(self) -> Tape:
         """Finish the recording's file; waits until it is written.
@@ -159,13 +141,7 @@ class Session:
         Raises:
             Refused: there is no recording.
         """
-        with self._lock:
-            if self._tape is None or self._loop.tape is None:
-                raise Refused("nothing is being recorded")
-            self._loop.tape = None
-            tape = self._tape
-        tape.finish()
-        return tape
+        return self._loop.stop_recording()
 
     # While something else is on the page
 
@@ -345,10 +321,10 @@ class Session:
             except ValueError as error:
                 raise Refused(str(error)) from None
             self.options = options
-            if Scope.TELEOPERATION in changed:
-                self._remap()
             if orders:
                 self._order(**orders)
+            if Scope.TELEOPERATION in changed:
+                self._remap()
             return options
 
     def change(
@@ -402,7 +378,7 @@ class Session:
                 self.scene, self.options = new, options
                 self.master.hold()
                 self._command(autopilot=False, plant=plant)
-                self._await_scene()
+                self._loop.wait_for_scene(new.version)
                 self._remap()
                 self.master.place(self._tool())
                 self.master.hold()
@@ -454,12 +430,3 @@ class Session:
         if telemetry.step is None or telemetry.scene != self.scene.version:
             return pin.SE3(self.scene.T_base_start)
         return pin.SE3(telemetry.step.tip)
-
-    def _await_scene(self, timeout: float = 5.0) -> None:
-        """Wait until the loop runs in the present scene, to learn where the tool is in it."""
-        deadline = time.monotonic() + timeout
-        while self._loop.alive and time.monotonic() < deadline:
-            telemetry = self.latest()
-            if telemetry.scene == self.scene.version and telemetry.step is not None:
-                return
-            time.sleep(1e-3)

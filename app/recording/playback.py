@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +15,7 @@ import robots
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
+from app.control.watch import Crossing
 from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
@@ -26,12 +27,30 @@ from app.settings import Options
 
 @dataclass(frozen=True)
 class Moment:
-    """What there was to see after a row of a recording."""
+    """What there is to see, or was after a row of a recording.
+
+    Attributes:
+        scene, options: in force; the telemetry may still be of the scene before.
+        telemetry: the tick.
+        clutched: whether the clutch is pressed.
+        force: (3,) on the operator's hand [N].
+        handle: where the operator's handle is, base frame; None: a recording does not know.
+        crossing: where the tip crossed the mesh of this scene; None: nowhere, or not known.
+    """
 
     scene: Scene
     options: Options
     telemetry: Telemetry
     clutched: bool
+    force: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    handle: pin.SE3 | None = None
+    crossing: Crossing | None = None
+
+    @property
+    def tip(self) -> pin.SE3:
+        """Pose of the tool's tip, base frame; before the first tick where it starts."""
+        step = self.telemetry.step
+        return self.scene.T_base_start if step is None else step.tip
 
 
 def build_scenes(
@@ -115,7 +134,8 @@ class Player:
             stale=bool(noted["stale"]),
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
-        return Moment(scene, seen, telemetry, bool(order["clutch"]))
+        force = np.zeros(3) if step is None else step.force
+        return Moment(scene, seen, telemetry, bool(order["clutch"]), force)
 
     def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
         """The step of a row, from the joints before it."""

@@ -8,35 +8,36 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.control.messages import Telemetry
+from app.recording.playback import Moment
 from app.scene.scene import DEFAULT_WIDTH, Scene, corridor
 from app.settings import number
 from app.view import palette
-from app.view.feature import Stage
+from app.view.context import PageContext
 from app.view.fields import NumberField, show
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
 HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
 BEYOND = 3e-3  # of the drawn walls before and after the path [m]
 
 
-class CorridorControl:
+class CorridorControl(Part):
     """Switch and width of the corridor; there is nothing to switch where no path is planned."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._session, self._hand, self._tell = stage.session, stage.hand, stage.tell
-        self._screen = stage.screen
-        self._api = stage.server.scene
+    def __init__(self, context: PageContext) -> None:
+        self._session, self._hand, self._tell = context.session, context.hand, context.tell
+        self._screen = context.screen
+        self._api = context.server.scene
         self._drawn: tuple[int, float | None] | None = None
-        self._name = stage.labels.add("/corridor/name", "planned cut", anchor="top-left")
+        self._name = context.labels.add("/corridor/name", "planned cut", anchor="top-left")
         self._end = 0  # of the path that the label is at
         kind = number("corridor")
         low, high = kind.low * kind.shown, kind.high * kind.shown
-        with stage.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
-            self._on = stage.server.gui.add_checkbox(
+        with context.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
+            self._on = context.server.gui.add_checkbox(
                 "Stay by the path", False, hint="The tool may leave the planned path only so far."
             )
-            self._width = stage.server.gui.add_number(
+            self._width = context.server.gui.add_number(
                 "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low, max=high, step=0.1
             )
         self._field = NumberField(
@@ -49,11 +50,9 @@ class CorridorControl:
         self._drawn = None
         self._name.visible = False
 
-    def frame(self, telemetry: Telemetry) -> None:
-        shown = self._screen.shown
+    def frame(self, shown: Moment, clients: Clients) -> None:
         scene, width = shown.scene, shown.options.corridor
-        if telemetry.step is not None:
-            self._draw_name(scene, telemetry.step.tip.translation)
+        self._draw_name(scene, shown.tip.translation)
         if self._drawn == (scene.version, width):
             return
         self._drawn = (scene.version, width)
@@ -73,10 +72,10 @@ class CorridorControl:
         for side, name in enumerate(("left", "right")):
             self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
 
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         live = self._screen.live
         self._on.disabled = self._width.disabled = not live
-        show(self._on, self._screen.shown.options.corridor is not None)
+        show(self._on, shown.options.corridor is not None)
         self._field.sync()
 
     def _in_force(self) -> float | None:

@@ -6,12 +6,14 @@ import numpy as np
 import viser
 
 from app.control.watch import Crossing
+from app.recording.playback import Moment
 from app.view import palette
 from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import to_view
 
 
-class CrossingMark:
+class CrossingMark(Part):
     """A dot and a label at the first crossing, until the tool is reset or the scene is changed."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
@@ -25,6 +27,10 @@ class CrossingMark:
         )
         self._label = labels.add("/crossing/label", anchor="top-left")
         self._shown: Crossing | None = None
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Mark the crossing that there is."""
+        self.update(shown.crossing)
 
     def update(self, crossing: Crossing | None) -> None:
         """Show this crossing; None: there is none."""

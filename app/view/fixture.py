@@ -9,9 +9,11 @@ import viser
 from numpy.typing import NDArray
 
 import vf
+from app.recording.playback import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
 from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view, turn_z_to
 
 FloatArray = NDArray[np.float64]
@@ -26,7 +28,7 @@ BLOCKS_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of
 LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
-class FixtureDrawing:
+class FixtureDrawing(Part):
     """Planes are drawn as their discs inside the motion sphere, coloured by the rule.
 
     The more a plane pushes the tool back, the fuller its colour; the one that pushes most has a
@@ -101,6 +103,11 @@ class FixtureDrawing:
         """Somebody else is on the stage: draw nothing."""
         self.inspected = False
         """Somebody else draws the triangles, with more to say about them: let them be seen."""
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Draw the tick's planes."""
+        if shown.telemetry.step is not None:
+            self.update(shown.telemetry.step, shown.scene.surface)
 
     def update(self, step: vf.Step, surface: vf.Surface) -> None:
         """Draw what one tick was constrained by."""

@@ -18,7 +18,9 @@ import pinocchio as pin
 import viser
 from numpy.typing import ArrayLike, NDArray
 
+from app.recording.playback import Moment
 from app.view.camera import NEAREST
+from app.view.part import Clients, Part
 
 FloatArray = NDArray[np.float64]
 
@@ -119,7 +121,7 @@ class Wanted(NamedTuple):
 Texts = dict[str, tuple[str, tuple[float, float, float]]]
 
 
-class Labels:
+class Labels(Part):
     """All labels of a page. Owners `add` theirs; the view thread calls `place` each frame."""
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -144,6 +146,10 @@ class Labels:
 
     def __getitem__(self, name: str) -> Label:
         return self._labels[name]
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Place them, when all other parts have set theirs."""
+        self.place(clients)
 
     def place(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         """Show every client its labels. From the view thread, once the frame's are all set."""

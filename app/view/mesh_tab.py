@@ -13,16 +13,17 @@ from typing import Any
 import viser
 
 import meshes
-from app.control.messages import Telemetry
 from app.files import size
 from app.recording.outline import outline
+from app.recording.playback import Moment
 from app.refused import Refused
 from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
 from app.scene.scene import Scene
 from app.view import dialogs, health, palette
-from app.view.feature import Stage
+from app.view.context import PageContext
+from app.view.part import Part
 from app.view.recorder import recordings
 from app.view.uploads import Receiver
 from meshes.units import choices as choices_of
@@ -32,7 +33,7 @@ _UNKNOWN = f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press
 NONE = "–"
 
 
-class MeshTab:
+class MeshTab(Part):
     """Upload, health report with its problems drawn on the mesh, repair and flip.
 
     Everything slow runs in a thread of its own; the old mesh stays until the new one is ready, and
@@ -40,20 +41,20 @@ class MeshTab:
     does not keep anybody from changing the mesh meanwhile.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._session = stage.session
-        self._tell = stage.tell
-        self._escape = stage.escape
-        self._drawing = health.HealthDrawing(stage.server.scene)
+    def __init__(self, context: PageContext) -> None:
+        self._session = context.session
+        self._tell = context.tell
+        self._escape = context.escape
+        self._drawing = health.HealthDrawing(context.server.scene)
         self._examining = threading.Lock()
         self._scene: Scene | None = None  # what is drawn
         # The scene that the report is on, the report and its marks.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
-        self._library = stage.library
-        self._screen = stage.screen
-        server = stage.server
+        self._library = context.library
+        self._screen = context.screen
+        server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
-        with stage.left.add_tab("Mesh"):
+        with context.left.add_tab("Mesh"):
             self._upload = server.gui.add_upload_button(
                 "Bring your own mesh",
                 hint=f"{', '.join(meshes.FORMATS).upper()}; at most {limit / 1e6:,.0f} MB.",
@@ -86,7 +87,7 @@ class MeshTab:
             self._flip = server.gui.add_button(
                 "Flip", hint="Turn open sheets over: they have no outside to be known by."
             )
-        stage.uploads.take(
+        context.uploads.take(
             self._upload,
             Receiver(
                 meshes.FORMATS,
@@ -137,10 +138,7 @@ class MeshTab:
             self._examined = None
         self._show_report()
 
-    def frame(self, telemetry: Telemetry) -> None:
-        """Nothing moves."""
-
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         """What is kept, and what can be done just now."""
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from app.scene.scene import Scene
 from app.view import palette
-from app.view.camera import DIRECTION
+from app.view.camera import DIRECTION, site_half_height
 from app.view.labels import Labels
+from app.view.part import Part
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
@@ -17,7 +18,7 @@ FloatArray = NDArray[np.float64]
 DIVISIONS = 10
 
 
-class Rulers:
+class Rulers(Part):
     """Both lie across the direction the page looks from at first."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
@@ -29,8 +30,9 @@ class Rulers:
         }
         self._visible = True
 
-    def set_scene(self, scene: Scene, half_height: float) -> None:
-        """Draw the bars of a scene whose first view shows `half_height` [m] above its middle."""
+    def set_scene(self, scene: Scene) -> None:
+        """Draw the bars of a scene, as long as its first view has room for."""
+        half_height = site_half_height(scene)
         size = scene.vertices_shown
         low, high = size.min(axis=0), size.max(axis=0)
         # Under the mesh, on the side that the first view is taken from.

@@ -6,9 +6,11 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from app.recording.playback import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
 from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
 FORCE_LENGTH = 0.005  # arrow length for each newton [m]: 3 N stay below the scale bar
@@ -18,7 +20,7 @@ LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
 ASIDE = 0.0065
 
 
-class Tool:
+class Tool(Part):
     """A dot at the tip (the tip's ball if it has a radius), and the force arrow."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
@@ -47,6 +49,10 @@ class Tool:
     def show_force(self, visible: bool) -> None:
         """Layer switch of the force arrow."""
         self._show_force = visible
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Put the tip and the force where they are."""
+        self.update(shown.tip.translation, shown.options.tip_radius, shown.force)
 
     def update(
         self, p_tip: NDArray[np.float64], tip_radius: float, force: NDArray[np.float64]

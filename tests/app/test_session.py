@@ -24,6 +24,9 @@ from tests.support.brute import Oracle
 from tests.support.everyday import everyday
 from tests.support.headless import moved, wait_until
 
+Wait = Callable[[Callable[[], bool]], None]
+Moved = Callable[..., pin.SE3]
+
 CATALOGUE = [name for name in meshes.names() if "fine" not in name]
 
 
@@ -366,12 +369,16 @@ def test_one_change_at_a_time(session: Session) -> None:
     slow = threading.Thread(target=session.change, kwargs={"mesh": "torus", "progress": dawdle})
     slow.start()
     assert entered.wait(20.0)
+    assert session.work.going
     with pytest.raises(Refused, match="another change is under way"):
         session.change(mesh="cone")
+    with pytest.raises(Refused, match="another change is under way"), session.work.begin():
+        pass
     # The old scene can still be driven and set while the new one is being built.
     session.set(rule="paper")
     go_on.set()
     slow.join()
+    assert not session.work.going
     assert session.options.mesh == "torus"
     assert session.options.rule == "paper"
 
@@ -548,3 +555,14 @@ def test_no_session_is_suspended_while_another_mesh_is_on_its_way(session: Sessi
     session.change(mesh="stairs", progress=suspend)
     assert set(asked) == {"another change is under way: wait until it is done"}
     assert not session.suspended
+
+
+def test_parts_of_one_work_are_not_in_each_others_way(session: Session) -> None:
+    with session.work.begin() as stop:
+        session.change(mesh="stairs", stop=stop)
+        with pytest.raises(Refused, match="another change is under way"):
+            session.change(mesh="cone")
+        session.suspend("a replay is shown", stop)
+    assert session.suspended
+    session.go_on()
+    assert session.change(mesh="cone").mesh_name == "cone"

@@ -28,7 +28,7 @@ BLOCK = 64  # planes judged at a time
 
 
 @dataclass(frozen=True)
-class Trial:
+class Forecast:
     """What one rule would do.
 
     Attributes:
@@ -62,18 +62,18 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Trials:
+class Forecasts:
     """What every rule would do from one and the same state.
 
     Attributes:
         x: (3,) where the tip, or the probe, was then [m].
         tick: the tick after which it was so; None for a probe.
-        of: a trial for each rule.
+        of: a forecast for each rule.
     """
 
     x: FloatArray
     tick: int | None
-    of: tuple[Trial, ...]
+    of: tuple[Forecast, ...]
 
 
 class Comparison:
@@ -85,14 +85,14 @@ class Comparison:
         self._options: Options | None = None
         self._controllers: dict[str, vf.Controller] = {}
 
-    def trials(
+    def forecasts(
         self,
         surface: vf.Surface,
         x: FloatArray,
         radius: float,
         options: Options,
         pose: Pose | None,
-    ) -> tuple[Trial, ...]:
+    ) -> tuple[Forecast, ...]:
         """Every rule at x (3,); without a `pose` no step is made."""
         rng = np.random.default_rng(0)  # the same points each time: the numbers do not flicker
         reach = radius + options.tip_radius
@@ -113,13 +113,13 @@ class Comparison:
             step, p_tip, gap, crosses = np.nan, x, np.nan, False
             if pose is not None:
                 step, p_tip, gap, crosses = self._step(rule, surface, options, pose)
-            found.append(Trial(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses))
+            found.append(Forecast(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses))
         return tuple(found)
 
     def _step(
         self, rule: str, surface: vf.Surface, options: Options, pose: Pose
     ) -> tuple[float, FloatArray, float, bool]:
-        """What the next tick would do: see `Trial`."""
+        """What the next tick would do: see `Forecast`."""
         made = self._controller(rule, options).step(pose.q, pose.target)
         start = np.array(self._arm.tip(pose.q).translation)
         p_tip = np.array(made.tip.translation)

@@ -26,7 +26,7 @@ class NearDrawing:
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._meshes = {
             state: _mesh(api, f"/inspector/near/{state.name.lower()}", look.color)
-            for state, look in palette.STATES.items()
+            for state, look in palette.TRIANGLE_STATES.items()
         }
         self._grid = _lines(api, "/inspector/near/grid", (90, 90, 90), 1.0)
         self._outline = _lines(api, "/inspector/chosen/outline", palette.BLACK, 5.0)
@@ -43,7 +43,7 @@ class NearDrawing:
         )
         self._name = labels.add("/inspector/chosen/name", anchor="bottom-left")
         self._region = _mesh(api, "/inspector/region", palette.SPHERE, opacity=0.45)
-        self._shown: dict[palette.State, bytes] = {}
+        self._shown: dict[palette.TriangleState, bytes] = {}
         self._grid_shown = b""
         self._solid: Region | None = None
         self._surface: vf.Surface | None = None

@@ -98,7 +98,7 @@ def client(number: int = 0) -> Any:
         up_direction=np.array([0.0, 0.0, 1.0]),
         fov=camera.FIELD_OF_VIEW,
         near=camera.NEAREST,
-        far=camera.FARTHEST,
+        far=camera.FARTHEST_DRAWN,
     )
     return SimpleNamespace(client_id=number, camera=eye, atomic=lambda: Handle(), gui=Gui())
 
@@ -325,7 +325,7 @@ def test_another_lens_shows_as_much_of_what_is_looked_at() -> None:
     assert distance < eye.far
     camera.set_lens(me, camera.FIELD_OF_VIEW)
     np.testing.assert_allclose(eye.position, [0.0, -10.0, 5.0], atol=1e-9)
-    assert (eye.near, eye.far) == (camera.NEAREST, camera.FARTHEST)
+    assert (eye.near, eye.far) == (camera.NEAREST, camera.FARTHEST_DRAWN)
 
 
 def test_the_depth_goes_along_with_a_parallel_camera() -> None:

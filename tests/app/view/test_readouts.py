@@ -218,6 +218,6 @@ def test_triangles_that_a_tips_ball_can_reach_are_counted(session: Session) -> N
         (4e-3, True, "triangles in ball’s reach"),
     ):
         options = replace(session.options, tip_radius=tip_radius)
-        found = Measuring().measure(Moment(session.scene, options, telemetry, False), None, 0)
+        found = Measuring().measure(Moment(session.scene, options, telemetry, False), 0)
         assert (found.in_sphere > 0) == counted
         assert name in text(readouts.readouts(telemetry, options, found))
