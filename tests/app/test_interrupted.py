@@ -22,6 +22,7 @@ from app.experiments import calibration, protocol, study
 from app.session import Session
 from app.settings import Options
 from app.verification import campaign
+from tests.support.headless import wait_until
 
 ROOT = Path(__file__).parents[2]
 SHORT = ["--rate", "50", "--length", "2mm"]
@@ -100,7 +101,6 @@ def test_a_replay_tells_how_far_it_is_the_same(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-    wait_until: Callable[[Callable[[], bool]], None],
 ) -> None:
     path = tmp_path / "some.vfrec"
     with Session(Options(mesh="cube", robot="point", rate=500.0)) as session:

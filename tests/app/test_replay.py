@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,7 @@ from app.session import Session
 from app.settings import Options
 from tests.support.brute import Oracle
 from tests.support.everyday import everyday
-from tests.support.headless import moved
+from tests.support.headless import moved, wait_until
 
 
 def joints(run: list[Telemetry]) -> bytes:
@@ -109,9 +109,7 @@ def test_the_tool_stays_out_of_everything_with_every_arm(
     check_tour(Options(mesh=mesh, robot=robot, radius=radius))
 
 
-def test_a_live_session_is_repeated_from_its_record(
-    tapes: list, wait_until: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_live_session_is_repeated_from_its_record(tapes: list) -> None:
     options = Options(mesh="saddle-slab", robot="psm")
     with Session(options) as session:
         start = session.scene.T_base_start
