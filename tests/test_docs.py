@@ -21,7 +21,7 @@ from app.commands import bench, experiment, mesh, replay, study, verify
 from tests.support import pictured
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 COMMANDS = {path.stem for path in Path(app.commands.__path__[0]).glob("[a-z]*.py")}
 
 
