@@ -12,11 +12,15 @@ FOLDER = Path(__file__).parents[1] / "docs/examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
 # What each prints: numbers that hang on the method, not on the machine.
 SHOWN = {
-    "01_planes.py": [r"planes at 2\.000 mm", r"allowed 1\.97\d mm", r"2\d µm are left"],
-    "02_own_arm.py": [r"0 ms  SOLVED    19\.8\d\d mm  0 planes", r"rests 2[01] µm", r"1\.50 N"],
+    "01_planes.py": [
+        r"2\.000 mm from the surface, planes: 1",
+        r"allowed 1\.97\d mm",
+        r"2\d µm are left",
+    ],
+    "02_own_arm.py": [r"0 ms  SOLVED    19\.8\d\d mm, planes: 0", r"rests 2[01] µm", r"1\.50 N"],
     "03_own_fixture.py": [
-        r"down: .* 30\.02\) mm, [1-9]\d* planes of the mesh and 0 of the port",
-        r"aside: .*, 0 planes of the mesh and [1-9]\d* of the port",
+        r"down: .* 30\.02\) mm, held by planes of the mesh: [1-9]\d*, of the port: 0",
+        r"aside: .*, held by planes of the mesh: 0, of the port: [1-9]",
     ],
     "04_headless_session.py": [r"2[01] µm off", r"crossed the mesh: no", r"\d{3} ticks recorded"],
     "05_batch.py": [r"4000 points, [1-9]\d* of them inside", r"planes: median 1, at most \d+"],

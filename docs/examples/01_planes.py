@@ -18,7 +18,7 @@ foot = surface.vertices[surface.faces[face]].mean(axis=0)  # [m]
 x = foot + 2e-3 * surface.normals[face]
 
 planes = vf.certified_planes(surface, x, radius=5e-3, standoff=20e-6)
-print(f"{len(planes)} planes at {surface.nearest(x)[0] * 1e3:.3f} mm from the surface")
+print(f"{surface.nearest(x)[0] * 1e3:.3f} mm from the surface, planes: {len(planes)}")
 
 # Rows of a quadratic program in the tip's displacement d: normals @ d >= offsets - normals @ x.
 G, h = planes.normals, planes.offsets - planes.normals @ x

@@ -65,7 +65,7 @@ for tick in range(400):
     q = step.q  # what the servos get; next time start from where the robot is
     if tick % 80 == 0:
         gap = surface.nearest(step.tip.translation)[0]
-        print(f"{tick:4d} ms  {step.status.name:8} {gap * 1e3:7.3f} mm  {len(step.planes)} planes")
+        print(f"{tick:4d} ms  {step.status.name:8} {gap * 1e3:7.3f} mm, planes: {len(step.planes)}")
 
 gap = surface.nearest(step.tip.translation)[0]
 print(f"rests {gap * 1e6:.0f} µm off the surface, force {np.linalg.norm(step.force):.2f} N")

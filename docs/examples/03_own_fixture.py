@@ -67,9 +67,9 @@ def follow(q: np.ndarray, goal: list[float], ticks: int = 600) -> vf.Step:
 
 
 def told(step: vf.Step) -> str:
-    """What holds the tool: planes with a multiplier push it back."""
+    """What holds the tool: the planes with a multiplier, which push it back."""
     pushing = step.planes.triangles[step.multipliers > 1e-9]
-    return f"{(pushing >= 0).sum()} planes of the mesh and {(pushing < 0).sum()} of the port push"
+    return f"held by planes of the mesh: {(pushing >= 0).sum()}, of the port: {(pushing < 0).sum()}"
 
 
 down = follow(np.array([0.0, 0.0, 0.05]), [0.0, 0.0, 0.01])
