@@ -34,7 +34,9 @@ from app.settings import DECLARED, MESH, Options, kind_of
 
 FARTHEST = 2.0  # a proxy farther from the arm's base than this is a mistake, not a wish [m]
 DEFAULTS = Options()
-LIVE = (Scope.FIXTURE, Scope.TELEOPERATION)  # of options that are set while a session runs
+LIVE = tuple(  # options that are set while a session runs
+    name for name, told in DECLARED.items() if told.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
+)
 
 
 class Refused(ValueError):
@@ -358,8 +360,8 @@ class Session:
             changed = set()
             try:
                 for name, value in changes.items():
-                    if name not in DECLARED or DECLARED[name].scope not in LIVE:
-                        raise Refused(f"{name} is nothing that is set while a session runs")
+                    if name not in LIVE:
+                        raise Refused(f"{name} is none of what is set live: {', '.join(LIVE)}")
                     kind = kind_of(name)
                     if isinstance(kind, Number) and value is not None:
                         changes[name] = kind.clamped(name, value)
