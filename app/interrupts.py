@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import sys
 import threading
@@ -11,6 +12,21 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 AGAIN = 0.05  # [s] until a signal that came at a bad moment comes again
+# Code that an exception at any moment leaves broken, as `file:function`.
+_WHOLE = re.compile(
+    # Half a module is the cause of errors that nobody understands.
+    r"^<frozen importlib"
+    # LLVM's objects belong to somebody, which is written down after the call that made it so. In
+    # between an exception lets them be freed twice, which ends the process.
+    r"|/llvmlite/binding/"
+    # A kernel's files, and its way from there into memory.
+    r"|/numba/core/caching\.py:"
+    # The compiler's lock, which nobody would give back. Not what runs under it: a kernel may take
+    # ten seconds to compile.
+    r"|/numba/core/compiler_lock\.py:(acquire|release|__enter__|__exit__)$"
+    # A cluster of which only some workers have begun cannot be closed.
+    r"|/distributed/deploy/(local|spec)\.py:__init__$"
+)
 
 
 @contextlib.contextmanager
@@ -63,21 +79,22 @@ class Terminated(KeyboardInterrupt):
 def arm() -> None:
     """From here on Ctrl-C and SIGTERM are a `KeyboardInterrupt` in the main thread, none is lost.
 
-    One that comes while a module is being imported waits until that is done: half a module is the
-    cause of errors that nobody understands. One that a library's callback has swallowed comes
-    again.
+    One that comes in code that must not be left halfway (imports, LLVM) comes again when that is
+    done, and so does one that a library's callback has swallowed.
     """
     if threading.current_thread() is not threading.main_thread():
         return
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
             signal.signal(number, _stop)
+    signal.signal(signal.SIGALRM, _ring)
     sys.unraisablehook = _not_lost
 
 
 def disarm() -> None:
     """The command has ended: another Ctrl-C ends what is left of the process at once."""
     if threading.current_thread() is threading.main_thread():
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in (signal.SIGINT, signal.SIGTERM):
             if signal.getsignal(number) is _stop:
                 signal.signal(number, signal.SIG_DFL)
@@ -90,10 +107,11 @@ def exit_code(stop: KeyboardInterrupt) -> int:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
+        if _WHOLE.search(f"{frame.f_code.co_filename}:{frame.f_code.co_name}"):
             _again(number)
             return
         frame = frame.f_back
+    signal.setitimer(signal.ITIMER_REAL, 0.0)  # one that has waited is this one
     raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
 
@@ -104,7 +122,15 @@ def _not_lost(lost: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(lost)
 
 
+_waiting: int = signal.SIGINT
+
+
 def _again(number: int) -> None:
-    timer = threading.Timer(AGAIN, os.kill, (os.getpid(), number))
-    timer.daemon = True
-    timer.start()
+    # By an alarm, not a thread: to start one takes locks, which what was interrupted may hold.
+    global _waiting
+    _waiting = number
+    signal.setitimer(signal.ITIMER_REAL, AGAIN)
+
+
+def _ring(number: int, frame: FrameType | None) -> None:
+    signal.raise_signal(_waiting)  # to whoever waits for it by then

@@ -8,6 +8,7 @@ import threading
 import time
 import webbrowser
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -18,6 +19,9 @@ from app.interrupts import interrupts
 from app.scenarios.file import Scenario
 from app.settings import Options
 from app.words import OptionError, format_length
+
+if TYPE_CHECKING:
+    from app.view.page import Page
 
 
 def serve(options: Options, scenario: Scenario | None = None) -> int:
@@ -62,24 +66,36 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
                 if tape is not None and tape.elsewhere:
                     note = f"Recording to {tape.path}.{tape.elsewhere}"
                     console.print(f"  [yellow]![/] {escape(note)}")
-                with interrupts() as wait:
-                    console.print(
-                        f"Ready after {time.perf_counter() - began:.1f} s. "
-                        f"Open [bold]{escape(page.url)}[/] (Ctrl-C ends)",
-                        soft_wrap=True,
-                    )
-                    if page.warning:
-                        console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
-                    if options.open:
-                        _show(page.url, console)
-                    wait()
-                    console.print("Closing.")
+                attend(
+                    page, console, f"Ready after {time.perf_counter() - began:.1f} s", options.open
+                )
                 return 0
             finally:
                 page.close()
                 if tape is not None:
                     tape.finish()
                     console.print(escape(tape.outcome))
+
+
+def attend(page: Page, console: Console, ready: str, show: bool = False, more: str = "") -> None:
+    """Tell where the page is, and wait for Ctrl-C.
+
+    Args:
+        ready: what is ready, before the address.
+        show: open the address in the user's browser.
+        more: what else can be done with the page, after the address.
+    """
+    with interrupts() as wait:
+        console.print(
+            f"{escape(ready)}. Open [bold]{escape(page.url)}[/] (Ctrl-C ends){escape(more)}",
+            soft_wrap=True,
+        )
+        if page.warning:
+            console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
+        if show:
+            _show(page.url, console)
+        wait()
+        console.print("Closing.")
 
 
 def bind_problem(host: str, port: int) -> str | None:

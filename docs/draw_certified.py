@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
-from app.studies.verification import campaign, oracles
+from app.judges import oracles
+from app.studies.verification import campaign
 
 FloatArray = NDArray[np.float64]
 

@@ -6,16 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import fast_simplification
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.errors import MeshError
-from meshes.thin import thin
 
 FloatArray = NDArray[np.float64]
 
 GAP = 0.015  # [m] of free space between the tip and the side to be worked on
-FARTHEST = 2.0  # [m] of a mesh's origin from the arm's base; farther is a slip of the unit
+FARTHEST_MESH = 2.0  # [m] of a mesh's origin from the arm's base; farther is a slip of the unit
 # Turns that bring one of a mesh's own axes to +z, where the tool comes from. About x wherever
 # that can be, so that left and right stay.
 _UP: dict[str, FloatArray] = {
@@ -60,7 +60,7 @@ class Placement:
         up: the mesh's own axis that faces the tool, one of `UPS`.
 
     Raises:
-        MeshError: not finite, ``at`` farther than `FARTHEST`, an unknown axis.
+        MeshError: not finite, ``at`` farther than `FARTHEST_MESH`, an unknown axis.
     """
 
     at: tuple[float, float, float] | None = None
@@ -75,10 +75,10 @@ class Placement:
                 continue
             if len(value) != 3 or not all(math.isfinite(number) for number in value):
                 raise MeshError(f"{name} must be three finite numbers, not {value}")
-        if self.at is not None and math.hypot(*self.at) > FARTHEST:
+        if self.at is not None and math.hypot(*self.at) > FARTHEST_MESH:
             raise MeshError(
-                f"at {', '.join(f'{x:g} m' for x in self.at)} is more than {FARTHEST:g} m from the "
-                "arm's base: is the unit right?"
+                f"at {', '.join(f'{x:g} m' for x in self.at)} is more than {FARTHEST_MESH:g} m "
+                "from the arm's base: is the unit right?"
             )
 
     @property
@@ -158,14 +158,18 @@ def display(
     thousand triangles, so where the mesh is too large to be drawn as it is, a light copy does.
     Quadric decimation keeps the shape within a fraction of an edge; degenerate leftovers do not
     matter to a drawing. A mesh that will not shrink (open edges everywhere) is thinned by dropping
-    triangles evenly, so that the limit always holds.
+    triangles evenly, so that the limit always holds. Decimation holds Python's interpreter for as
+    long as it works, seconds for a million triangles: beside a control loop, call this in another
+    process.
     """
     if limit < 4:
         raise ValueError(f"limit must be at least 4 triangles, not {limit}")
     if len(faces) <= max(limit, exact):
         return Display(vertices, faces, False)
-    thinned = thin(vertices, faces, limit)
-    if thinned is None or not 0 < len(thinned[1]) <= limit:
+    thin_vertices, thin_faces = fast_simplification.simplify(
+        vertices, faces.astype(np.int32), target_count=limit
+    )
+    if not 0 < len(thin_faces) <= limit:
         keep = np.linspace(0, len(faces) - 1, limit).astype(np.int64)
         return Display(vertices, faces[keep], True)
-    return Display(*thinned, True)
+    return Display(thin_vertices.astype(np.float64), thin_faces.astype(np.int64), True)

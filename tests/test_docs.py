@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import difflib
 import json
 import re
@@ -12,13 +13,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import pictured
 import pytest
 
 from app import commands as dispatch
 from app import options
 from app.commands import COMMANDS
 from app.settings import Options
+from tests.support import pictured
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -30,7 +31,7 @@ def named(path: Path) -> str:
 
 def test_the_library_page_runs_as_it_stands() -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs/library.md").read_text(), re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     names: dict[str, object] = {}
     for block in blocks:
         exec(compile(block, "docs/library.md", "exec"), names)
@@ -140,3 +141,29 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_commands_exist(document: Path) -> None:
     for word in re.findall(r"vf-sandbox ([a-z]+)\b", document.read_text()):
         assert word in COMMANDS, f"vf-sandbox {word}"
+
+
+# What `vf` may import, and which of its modules more than that, as CONTRIBUTING.md says.
+ARITHMETIC = {
+    "__future__", "collections", "dataclasses", "enum", "functools", "hashlib", "itertools", "math",
+    "numpy", "osqp", "pinocchio", "scipy", "typing", "vf",
+}  # fmt: skip
+MORE = {
+    "controller": {"time"},  # the stopwatch of `Step.timings`
+    "kernels": {"llvmlite", "numba", "os", "pathlib", "pickle", "tempfile", "types", "warnings"},
+}
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "vf").glob("*.py")), ids=named)
+def test_the_library_has_no_threads_no_files_and_no_app(path: Path) -> None:
+    tree = ast.parse(path.read_text("utf-8"))
+    for node in ast.walk(tree):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [str(node.module)]
+            if node.module == "time":
+                assert [alias.name for alias in node.names] == ["perf_counter"]
+        for name in names:
+            assert name.partition(".")[0] in ARITHMETIC | MORE.get(path.stem, set()), name
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in {"open", "print", "input"}

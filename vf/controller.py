@@ -226,8 +226,9 @@ class Kinematics(Protocol):
 class Controller:
     """Drives an arm's tip towards a target as far as the fixtures allow.
 
-    `step` depends on its arguments and the settings alone: a recorded run repeats bit for bit on
-    the same machine. Not thread-safe (it owns solver workspaces, and its arm's).
+    `step` depends on its arguments and the settings alone (but for what it returns where the joints
+    are of no use): a recorded run repeats bit for bit on the same machine. Not thread-safe (it owns
+    solver workspaces, and its arm's).
 
     Raises:
         RuntimeError: a kernel gives a wrong answer on this machine, see `warm_up`.
@@ -278,6 +279,8 @@ class Controller:
         # Which side a tip was on. A checked step stays on its side, so only a tip that no step of
         # ours led to is looked up; the answer is the same, only the time is not.
         self._known: tuple[bytes, tuple[bool, ...]] = (b"", ())
+        # The last joints that a tick returned, and their tip: where the arm was sent.
+        self._sent: tuple[FloatArray, pin.SE3] | None = None
         self._keeps_side = all(fixture.certified for fixture in self.fixtures)
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
@@ -297,6 +300,7 @@ class Controller:
             RuntimeError: a kernel gives a wrong answer on this machine (`vf.check_kernels`).
         """
         check_kernels()
+        sent = self._sent
         q = 0.5 * (self.arm.lower + self.arm.upper)
         T = self.arm.tip(q)
         corners = np.array([[0, 0, -1], [9, 0, -8], [-9, 9, -8], [-9, -9, -8]], dtype=float)
@@ -321,17 +325,21 @@ class Controller:
         walls = CorridorFixture([T.translation - along, T.translation + along], [0.0, 0.0, -1.0])
         Controller(self.arm, [walls, walls], self.settings).step(q, T)
         self.step(q, T)
+        self._sent = sent
 
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:
         """One tick from joint positions q (n,) towards the tip pose `target`, base frame.
 
-        Raises nothing: what cannot be used as one or the other is REFUSED.
+        Raises nothing: what cannot be used as one or the other is REFUSED. The step's `q` is then q
+        itself if the target was of no use, and the `q` of the last tick if the joints were. Only
+        where there was no tick with usable joints yet is it what came in (not a number where that
+        is no array), and the tip the identity.
         """
         started = perf_counter()
         s = self.settings
         try:
             q = np.array(q, dtype=np.float64)
-        except (TypeError, ValueError):
+        except Exception:  # whatever it does that is no array when it is asked for numbers
             return self._refused(np.full(len(self._reach), nan), started)
         # Rounding of the sines of larger angles would be as large as what is guarded.
         if q.shape != self._reach.shape or not sum(map(abs, q.tolist())) <= JOINT_RANGE:
@@ -418,6 +426,7 @@ class Controller:
             status = Status.SHORTENED
         else:
             status = Status.SOLVED
+        self._sent = q_new, T_new
         if self._keeps_side and status is not Status.INSIDE:
             self._known = (q_new.tobytes(), inside)
         fields: dict[str, Any] = {
@@ -607,6 +616,10 @@ class Controller:
         return True
 
     def _refused(self, q: FloatArray, started: float, T: pin.SE3 | None = None) -> Step:
+        if T is not None:
+            self._sent = q, T
+        elif self._sent is not None:
+            q, T = self._sent[0], pin.SE3(self._sent[1])
         zero = np.zeros(3)
         none = np.zeros(0)
         planes = Planes.none(0.0)

@@ -20,6 +20,8 @@ Every solve starts from zero with the same settings, so the answer depends on th
 
 from __future__ import annotations
 
+import ctypes
+import signal
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -199,8 +201,15 @@ class _Workspace:
         pack(scratch, count, self._values, self._low, self._linear)
         self._osqp.update_data_vec(q=self._linear, l=self._low, u=None)
         self._osqp.update_data_mat(P_x=None, P_i=None, A_x=self._values, A_i=None)
-        self._osqp.warm_start(self._x0, self._y0)
-        self._osqp.solve()
+        self._run()
+        interrupted = False
+        while osqp_was_interrupted():
+            # Solved anew: what a tick gives may not depend on when somebody presses a key.
+            interrupted = True
+            self._osqp.update_rho(RHO)
+            self._run()
+        if interrupted:
+            signal.raise_signal(signal.SIGINT)
         info = self._osqp.info
         status, iterations = info.status_val, info.iter
         self.x = self._osqp.solution.x
@@ -213,7 +222,23 @@ class _Workspace:
             return Solver.INFEASIBLE, iterations
         return Solver.NOT_CONVERGED, iterations
 
+    def _run(self) -> None:
+        self._osqp.warm_start(self._x0, self._y0)
+        self._osqp.solve()
 
+
+def osqp_was_interrupted() -> bool:
+    """Whether SIGINT came while OSQP solved, the last time that it did.
+
+    While it solves, OSQP handles SIGINT itself and Python's handler does not hear of it: whoever
+    finds that one came raises it again. OSQP keeps the process's handler in one place, so two
+    threads may not solve at once.
+    """
+    return bool(_heard())
+
+
+# Its status says so only where it came before the last iteration. A build without handler has none.
+_heard = getattr(ctypes.PyDLL(osqp.OSQP().ext.__file__), "osqp_is_interrupted", int)
 _SOLVERS = tuple(Solver)  # by value: looking one up this way costs a tenth of calling the class
 _INFEASIBLE = (
     osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE,

@@ -23,7 +23,8 @@ from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
 from app.control.loop import prefer_this_process
-from app.session import Refused, Session
+from app.refused import Refused
+from app.session import Session
 from app.settings import Options
 from app.view.page import Page
 from meshes.builtin import ladder

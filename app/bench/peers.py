@@ -17,7 +17,7 @@ import robots
 import vf
 from app.bench import queries, solvers
 from app.bench.queries import Bodies, Holders, Peer
-from app.bench.tools import route as courses
+from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
 from app.bench.tools.reference import leak
 from app.bench.tools.settings import Peers
@@ -48,9 +48,9 @@ def run(
     say("building our surface")
     surface = vf.Surface.from_arrays(rungs[max(rungs)][0] + shift, rungs[max(rungs)][1])
     smallest = vf.Surface.from_arrays(rungs[min(rungs)][0] + shift, rungs[min(rungs)][1])
-    course = courses.plan(smallest, arm)
-    say("driving the course")
-    points, problems = _met(surface, arm, course, options.queries)
+    route = routes.plan(smallest, arm)
+    say("driving the route")
+    points, problems = _met(surface, arm, route, options.queries)
     bodies = Bodies.of(surface, points)
     held = Holders(bodies, say)
 
@@ -168,15 +168,15 @@ def _timed(peer: Peer, asked: Sequence[int]) -> list[float]:
 
 
 def _met(
-    surface: vf.Surface, arm: robots.Arm, course: courses.Course, count: int
+    surface: vf.Surface, arm: robots.Arm, route: routes.Route, count: int
 ) -> tuple[FloatArray, list[solvers.Problem]]:
-    """Positions (count, 3) that the tool meets on the course, and the QPs of its contacts."""
+    """Positions (count, 3) that the tool meets on the route, and the QPs of its contacts."""
     controller = vf.Controller(arm, [vf.MeshFixture(surface, "certified", 5e-3)])
     controller.warm_up()
     points, problems = [], []
-    for spot, start in enumerate(course.starts):
+    for spot, start in enumerate(route.starts):
         q = start
-        for target in course.targets(spot):
+        for target in route.targets(spot):
             step = controller.step(q, target)
             points.append(arm.tip(q).translation.copy())
             if step.solver is not vf.Solver.FREE and len(step.planes):

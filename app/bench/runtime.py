@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
-from app.bench.tools import route as courses
+from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
 from app.bench.tools.settings import Runtime
 from meshes.builtin import ladder
@@ -47,7 +47,7 @@ class Cell:
     vertices: int
     controller: vf.Controller
     surface: vf.Surface
-    spots: int = 0  # of the course that a pass visits; 0: not decided yet
+    spots: int = 0  # of the route that a pass visits; 0: not decided yet
     total: list[float] = field(default_factory=list)
     parts: list[tuple[float, ...]] = field(default_factory=list)
     planes: list[int] = field(default_factory=list)
@@ -86,7 +86,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     shape = ladder.source(options.mesh, options.unit)
     rungs = ladder.rungs(shape, options.sizes, say)
     arm = robots.load("psm")
-    # All rungs stand where the master does, so that one course fits them.
+    # All rungs stand where the master does, so that one route fits them.
     shift = meshes.placement(rungs[max(rungs)][0], arm.tip(arm.neutral))
     say("compiling kernels")
     vf.Controller(arm, []).warm_up()
@@ -97,8 +97,8 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         surface, build = _built(vertices + shift, faces)
         surfaces.append(surface)
         builds.append({"triangles": size, **build})
-    say("planning the course")
-    course = courses.plan(surfaces[0], arm)
+    say("planning the route")
+    route = routes.plan(surfaces[0], arm)
 
     cells = [
         Cell(
@@ -114,19 +114,19 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         for surface in surfaces
     ]
     for cell in cells:
-        cell.spots = _affordable(cell, course, options)
+        cell.spots = _affordable(cell, route, options)
     done = 0
     whole = True
     try:
         for number in range(options.passes):
             say(f"pass {number + 1} of {options.passes}")
-            for spot in range(len(course.starts)):
+            for spot in range(len(route.starts)):
                 # All rows at one spot, every other time backwards: a change of load meets all.
                 for cell in cells[:: 1 if spot % 2 == 0 else -1]:
                     if spot < cell.spots:
-                        drive(cell, course, spot)
+                        drive(cell, route, spot)
                 done += 1
-                advance(done / (len(course.starts) * options.passes))
+                advance(done / (len(route.starts) * options.passes))
     except KeyboardInterrupt:
         if done == 0:
             raise  # not every row has something to say yet
@@ -145,7 +145,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         },
         "settings": {
             "arm": "psm", "dt [s]": 1e-3, "standoff [m]": vf.Settings().standoff,
-            "spots": len(course.starts), "passes": options.passes,
+            "spots": len(route.starts), "passes": options.passes,
         },
         "builds": builds,
         "rows": rows,
@@ -178,23 +178,23 @@ def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, 
     }
 
 
-def _affordable(cell: Cell, course: courses.Course, options: Runtime) -> int:
+def _affordable(cell: Cell, route: routes.Route, options: Runtime) -> int:
     """Spots that fit in the budget, after a drive at the first two that also warms up."""
     pilot = replace(cell, total=[], parts=[], planes=[], states=[], radii=[], tips=[])
     pilot.statuses = Counter()
-    for spot in range(min(2, len(course.starts))):
-        drive(pilot, course, spot)
-    cost = max(float(np.mean(pilot.total)) * courses.TICKS, 1e-9)  # [s] of a spot
-    wanted = max(options.ticks // courses.TICKS, 1)
-    return min(wanted, len(course.starts), max(int(options.budget / cost), 1))
+    for spot in range(min(2, len(route.starts))):
+        drive(pilot, route, spot)
+    cost = max(float(np.mean(pilot.total)) * routes.TICKS, 1e-9)  # [s] of a spot
+    wanted = max(options.ticks // routes.TICKS, 1)
+    return min(wanted, len(route.starts), max(int(options.budget / cost), 1))
 
 
-def drive(cell: Cell, course: courses.Course, spot: int) -> None:
-    """Follow the course at one spot and add the samples to the cell."""
+def drive(cell: Cell, route: routes.Route, spot: int) -> None:
+    """Follow the route at one spot and add the samples to the cell."""
     step = cell.controller.step
-    q = course.starts[spot]
-    touching = 2 + course.pits[spot]
-    targets = course.targets(spot)
+    q = route.starts[spot]
+    touching = 2 + route.pits[spot]
+    targets = route.targets(spot)
     with no_collection():
         for target in targets:
             began = perf_counter()
@@ -250,7 +250,7 @@ def summary(cell: Cell) -> dict[str, Any]:
 
 
 def _stages(cell: Cell, tips: list[FloatArray], radius: float) -> dict[str, float]:
-    """Sphere query and inside test on their own, at positions of the course (medians).
+    """Sphere query and inside test on their own, at positions of the route (medians).
 
     The certified rule has no separate query: tree walk and choice of planes are one.
     """

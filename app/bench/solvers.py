@@ -15,6 +15,7 @@ import vf
 from app.bench.queries import Peer
 from app.bench.tools.reference import least_squares
 from vf.problem import rotation_log
+from vf.qp import osqp_was_interrupted
 
 FloatArray = NDArray[np.float64]
 
@@ -122,9 +123,16 @@ def _osqp(osqp: Any, problems: Sequence[Problem]) -> Peer:
             np.concatenate([np.full(len(p.b), np.inf), p.upper * MM]),
             verbose=False, eps_abs=1e-5, eps_rel=0.0, max_iter=20_000,
         )  # fmt: skip
-        return solver.solve(raise_error=False)
+        answer = solver.solve(raise_error=False)
+        _pass_on_interrupt()
+        return answer
 
     return Peer("OSQP: set up anew each tick", ask, lambda r: r.x / MM, "tolerance 1e-5 mm")
+
+
+def _pass_on_interrupt() -> None:
+    if osqp_was_interrupted():
+        raise KeyboardInterrupt
 
 
 def _daqp(daqp: Any, problems: Sequence[Problem]) -> Peer:
@@ -175,10 +183,13 @@ def _qpsolvers(qpsolvers: Any, name: str, problems: Sequence[Problem]) -> Peer:
 
     def ask(k: int) -> Any:
         p = problems[k]
-        return qpsolvers.solve_qp(
+        answer = qpsolvers.solve_qp(
             convert(p.H), p.g, convert(-p.G), -p.b * MM, lb=p.lower * MM, ub=p.upper * MM,
             solver=name, **options,
         )  # fmt: skip
+        if name == "osqp":
+            _pass_on_interrupt()
+        return answer
 
     return Peer(
         f"qpsolvers: {name}",

@@ -15,7 +15,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from app.commands import interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.interrupts import interrupts
 from app.kinds import Maybe, OneOf, Path, Whole
 from app.options import Checked, like, option
 from app.settings import Options
@@ -222,7 +221,7 @@ def _calibrate(options: Calibrate) -> int:
 
 
 def _replay(options: Replay) -> int:
-    from app.serving import bind_problem
+    from app.serving import attend, bind_problem
     from app.session import Session
     from app.studies.experiments import playback, protocol
     from app.view.page import Page
@@ -248,17 +247,12 @@ def _replay(options: Replay) -> int:
         page = Page(session, options.host, options.port)
         try:
             session.set_autopilot(True)
-            with interrupts() as wait:
-                console.print(
-                    f"{escape(trial.key)}: {recorded.outcome.duration:.0f} s. "
-                    f"Open [bold]{page.url}[/] (Ctrl-C ends); reset and switch the autopilot on "
-                    "to see it again",
-                    soft_wrap=True,
-                )
-                if page.warning:
-                    console.print(escape(page.warning), soft_wrap=True)
-                wait()
-                console.print("Closing.")
+            attend(
+                page,
+                console,
+                f"{trial.key}: {recorded.outcome.duration:.0f} s",
+                more="; reset and switch the autopilot on to see it again",
+            )
         finally:
             page.close()
     return 0

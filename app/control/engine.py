@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 import vf
 from app.control.autopilot import Script
 from app.control.messages import Command, LoopStats, Telemetry
+from app.devices import protocols
+from app.devices.simulated import SimulatedArm
 from app.settings import Options
 from robots import Arm
 
@@ -23,7 +25,7 @@ class Plant:
     """Everything a tick needs and no other thread touches; swapped as a whole between ticks.
 
     Attributes:
-        arm: the arm; its Pinocchio buffers belong to the engine's thread from here on.
+        arm: the arm's model; its Pinocchio buffers belong to the engine's thread from here on.
         controller: built on that arm, warmed up.
         q0: (n,) start configuration, its tip in free space.
         surface: the anatomy, arm base frame.
@@ -103,11 +105,18 @@ def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) 
 class Engine:
     """The state between ticks: joints, tick count, and what was seen of the orders."""
 
-    def __init__(self, orders: Orders, state: State | None = None) -> None:
-        """Start at the plant's start, or go on from a state whose last orders these were."""
+    def __init__(
+        self, orders: Orders, state: State | None = None, arm: protocols.Arm | None = None
+    ) -> None:
+        """Start at the plant's start, or go on from a state whose last orders these were.
+
+        Args:
+            arm: what is measured before each tick and moved by it; None: a simulated one.
+        """
         self.seen = orders  # the newest that were looked at
         self._plant = orders.plant
-        self._q = _frozen(orders.plant.q0)
+        self._q = _frozen(orders.plant.q0 if state is None else state.q)
+        self._arm = SimulatedArm(self._q) if arm is None else arm
         self._steps = orders.steps
         self._resets = orders.resets
         self._tick = 0
@@ -118,10 +127,10 @@ class Engine:
         self._target: pin.SE3 | None = None
         self._stale = False
         self._failed = False
+        self._known = True  # where the arm is
         self._origin: pin.SE3 | None = None  # where the last tick began
         self.failures = 0  # ticks whose controller raised: held, and counted as HELD
         if state is not None:
-            self._q = _frozen(state.q)
             self._tick = state.tick
             self._steps = state.steps
             self._silent = state.silent
@@ -152,6 +161,7 @@ class Engine:
         """
         self.seen = orders
         moved = self._adopt(orders)
+        self._measure()
         ticks = True
         if orders.paused:
             ticks = self._steps < orders.steps
@@ -198,19 +208,33 @@ class Engine:
             return False
         if orders.resets != self._resets:
             self._resets = orders.resets
-            self._q = _frozen(new.q0)
+            self._go(_frozen(new.q0))
             self._autopilot_since = None
         elif new.scene != old.scene:
+            self._measure()
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
             if not stays or not is_free(
                 new.surface, new.arm.tip(self._q).translation, new.clearance
             ):
-                self._q = _frozen(new.q0)
+                self._go(_frozen(new.q0))
             self._autopilot_since = None
         self._plant = new
         self._tip = new.arm.tip(self._q)
         self._failed = False
         return True
+
+    def _measure(self) -> None:
+        """Learn where the arm is; where that is not known the last joints stay."""
+        q = self._arm.measured()
+        self._known = q is not None and q.shape == self._q.shape
+        if self._known and q is not self._q:
+            assert q is not None
+            self._q = _frozen(q)
+            self._tip = self._plant.arm.tip(self._q)
+
+    def _go(self, q: NDArray[np.float64]) -> None:
+        self._q = q
+        self._arm.servo(q)
 
     def _run(self, orders: Orders) -> None:
         plant, command = self._plant, orders.command
@@ -224,7 +248,7 @@ class Engine:
             self._target = None if command.clutch or self._stale else command.target
         self._tick += 1
         self._origin = self._tip
-        if self._target is None:
+        if self._target is None or not self._known:
             self._hold()
             return
         try:
@@ -232,7 +256,7 @@ class Engine:
         except Exception:
             self._fail()
             return
-        self._q = _frozen(step.q)
+        self._go(_frozen(step.q))
         self._step = step
         self._tip = step.tip
 
@@ -251,7 +275,7 @@ class Engine:
             q=self._q,
             tip=tip,
             force=_frozen(np.zeros(3)),
-            status=vf.Status.HELD if self._stale else step.status,
+            status=step.status if self._known and not self._stale else vf.Status.HELD,
         )
 
     def _fail(self) -> None:

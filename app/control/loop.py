@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from app.control.engine import Engine, Orders
 from app.control.mailbox import Mailbox
 from app.control.messages import LoopStats, Telemetry
 from app.recording.capture import Tape
+from app.refused import Refused
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +49,9 @@ class ControlLoop:
 
     A tick that ends after the next deadline is an overrun; the next deadline is then counted
     from that moment, so time lost is lost and never made up by faster ticks.
+
+    Attributes:
+        tape: the recording under way or, if none is, the last one; None: there was none.
     """
 
     def __init__(
@@ -68,7 +73,9 @@ class ControlLoop:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control")
         self._clock = _Clock(dt)
-        self.tape: Tape | None = None  # hears of every tick; replaced by any thread
+        self._recording = threading.Lock()  # who begins or ends a recording; no tick takes it
+        self._tape: Tape | None = None  # hears of every tick
+        self.tape: Tape | None = None
         telemetry.put(self._engine.look(first, self._clock.stats))
 
     @property
@@ -81,10 +88,50 @@ class ControlLoop:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop and wait for the thread. Safe to call twice, or before `start`."""
+        """Stop, wait for the thread, finish a recording. Safe to call twice, or before `start`."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+        self._tape = None
+        if self.tape is not None:
+            self.tape.finish()
+
+    def record(self, path: Path | str) -> Tape:
+        """Record from the next tick on.
+
+        Raises:
+            Refused: a recording is under way, or the file cannot be made.
+        """
+        with self._recording:
+            if self.tape is not None and self.tape.running:
+                raise Refused("a recording is under way: stop it first")
+            try:
+                self.tape = self._tape = Tape(path)
+            except OSError as error:
+                raise Refused(f"cannot record to {path}: {error.strerror or error}") from None
+            return self.tape
+
+    def stop_recording(self) -> Tape:
+        """Finish the recording's file; waits until it is written.
+
+        Raises:
+            Refused: there is no recording.
+        """
+        with self._recording:
+            tape, self._tape = self._tape, None
+        if tape is None:
+            raise Refused("nothing is being recorded")
+        tape.finish()
+        return tape
+
+    def wait_for_scene(self, version: int, timeout: float = 5.0) -> None:
+        """Wait until it runs in this scene, if it runs, to learn where the tool is in it."""
+        deadline = time.monotonic() + timeout
+        while self.alive and time.monotonic() < deadline:
+            telemetry = self._telemetry.get()
+            if telemetry is not None and telemetry.scene == version and telemetry.step is not None:
+                return
+            time.sleep(1e-3)
 
     def _run(self) -> None:
         _ask_for_punctuality()
@@ -110,7 +157,7 @@ class ControlLoop:
                 started = now()
             orders = self._orders.get()
             assert orders is not None
-            tape = self.tape
+            tape = self._tape
             if tape is not None and not tape.begun:
                 tape.begin(engine.seen, engine.state)
             telemetry, ticked = engine.advance(orders, clock.stats)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from app.control.engine import Orders
 from app.control.loop import VIEW_PRIORITY, prefer_this_thread
-from app.control.meeting import first_meeting
 from app.control.messages import Telemetry
+from app.judges.meeting import first_meeting
 
 log = logging.getLogger(__name__)
 

@@ -2,42 +2,74 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+import robots
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
+from app.control.watch import Crossing
 from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
 from app.scene import scene as scenes
+from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.settings import Options
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What there was to see after a row of a recording."""
+    """What there is to see, or was after a row of a recording.
+
+    Attributes:
+        scene, options: in force; the telemetry may still be of the scene before.
+        telemetry: the tick.
+        clutched: whether the clutch is pressed.
+        force: (3,) on the operator's hand [N].
+        handle: where the operator's handle is, base frame; None: a recording does not know.
+        crossing: where the tip crossed the mesh of this scene; None: nowhere, or not known.
+    """
 
     scene: Scene
     options: Options
     telemetry: Telemetry
     clutched: bool
+    force: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    handle: pin.SE3 | None = None
+    crossing: Crossing | None = None
+
+    @property
+    def tip(self) -> pin.SE3:
+        """Pose of the tool's tip, base frame; before the first tick where it starts."""
+        step = self.telemetry.step
+        return self.scene.T_base_start if step is None else step.tip
 
 
 def build_scenes(
-    recording: Recording, version: int, like: Scene | None = None, progress: Progress | None = None
+    recording: Recording,
+    version: int,
+    like: Scene | None = None,
+    progress: Progress | None = None,
+    stop: worker.Stop | None = None,
 ) -> tuple[Scene, ...]:
     """A recording's scenes, numbered from `version`; one that is just like `like` is that one.
 
+    They are built without a pause for any other thread, see `worker`.
+
+    Args:
+        progress: called with a few words before each step.
+        stop: stops it.
+
     Raises:
-        ValueError: what `replay.build` raises.
+        ValueError: what `rerun.build`, `worker.Ended` and `worker.Stopped` raise.
     """
     built = []
     for k, place in enumerate(recording.places):
@@ -51,7 +83,9 @@ def build_scenes(
             assert like is not None
             built.append(like)
         else:
-            built.append(rerun.build(recording, k, version + k, progress=progress))
+            work = functools.partial(rerun.build, place, version + k, warm=False)
+            arm = robots.load(place.options.robot)
+            built.append(worker.aside(work, place.options.mesh, arm, progress, stop))
     return tuple(built)
 
 
@@ -100,7 +134,8 @@ class Player:
             stale=bool(noted["stale"]),
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
-        return Moment(scene, seen, telemetry, bool(order["clutch"]))
+        force = np.zeros(3) if step is None else step.force
+        return Moment(scene, seen, telemetry, bool(order["clutch"]), force)
 
     def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
         """The step of a row, from the joints before it."""

@@ -12,7 +12,7 @@ import meshes
 from app.control.engine import Engine, Orders, Plant
 from app.control.messages import Command, LoopStats, Telemetry
 from app.files import shown
-from app.recording.format import CHUNK, COMPARED, ROWS, Recording, RecordingError
+from app.recording.format import CHUNK, COMPARED, ROWS, Place, Recording, RecordingError
 from app.recording.rows import command as command_of
 from app.recording.rows import fill
 from app.scene import scene as scenes
@@ -107,7 +107,8 @@ def rerun(
                 index = int(noted["plant"])
                 where, options = recording.plants[index]
                 if where != place or scene is None:
-                    place, scene = where, build(recording, where, where + 1, mesh, path, progress)
+                    place = where
+                    scene = build(recording.places[where], where + 1, mesh, path, progress)
                 course = recording.courses[index]
                 room = scene if course is None else replace(scene, autopilot=course)
                 plant = scenes.plant(room, options)
@@ -134,27 +135,30 @@ def orders_of(noted: np.void, plant: Plant) -> Orders:
 
 
 def build(
-    recording: Recording,
-    place: int,
+    noted: Place,
     version: int,
     mesh: str | None = None,
     path: str | None = None,
     progress: Progress | None = None,
+    warm: bool = True,
 ) -> Scene:
     """A scene of a recording, made anew and compared with what was recorded of it.
+
+    Args:
+        mesh, path: where mesh and planned path are now; None: where the recording says.
+        warm: as in `scene.build`.
 
     Raises:
         RecordingError: the mesh is another one now, or ends up elsewhere.
         ValueError: it is not usable, or unknown names.
     """
-    noted = recording.places[place]
     options = noted.options
     options = replace(options, mesh=mesh or options.mesh, path=path or options.path)
     try:
-        scene = scenes.build(options, version, progress)
+        scene = scenes.build(options, version, progress, warm)
     except meshes.UnitNeeded:
         # Recorded when units were guessed: the checksum knows which it was.
-        found = _in_some_unit(options, noted.checksum, version, progress)
+        found = _in_some_unit(options, noted.checksum, version, progress, warm)
         if found is None:
             raise
         scene = found
@@ -173,12 +177,12 @@ def build(
 
 
 def _in_some_unit(
-    options: Options, checksum: str, version: int, progress: Progress | None
+    options: Options, checksum: str, version: int, progress: Progress | None, warm: bool
 ) -> Scene | None:
     """The scene of this mesh, in the unit that gives this checksum; None: none does."""
     for unit in ("mm", "m"):
         with contextlib.suppress(ValueError):
-            scene = scenes.build(replace(options, unit=unit), version, progress)
+            scene = scenes.build(replace(options, unit=unit), version, progress, warm)
             if scene.surface.checksum == checksum:
                 return scene
     return None

@@ -10,6 +10,7 @@ import pinocchio as pin
 import meshes
 from app.control.autopilot import Course
 from app.scenarios.file import SETTINGS, Scenario, Waypoint
+from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.session import Session
 
@@ -52,15 +53,22 @@ def begin(scenario: Scenario, session: Session) -> None:
         session.resume()
 
 
-def stage(scenario: Scenario, session: Session, progress: Progress | None = None) -> None:
+def stage(
+    scenario: Scenario,
+    session: Session,
+    progress: Progress | None = None,
+    stop: worker.Stop | None = None,
+) -> None:
     """Bring a running session into a scenario: scene and settings, then `begin`.
+
+    Args:
+        progress, stop: as in `Session.change`.
 
     Raises:
         ValueError: what `Session.change` refuses; nothing is changed then.
     """
-    session.change(
-        **{name: getattr(scenario.options, name) for name in SETTINGS}, progress=progress
-    )
+    wanted = {name: getattr(scenario.options, name) for name in SETTINGS}
+    session.change(**wanted, progress=progress, stop=stop)
     begin(scenario, session)
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
-from app.control import meeting
 from app.control.autopilot import Script, plan
 from app.control.engine import Plant, is_free
+from app.judges import meeting
 from app.scene.outside import shows_fronts_only
 from app.settings import Options
 from meshes.builtin.damage import damage

@@ -111,7 +111,7 @@ def build(
     progress: Progress | None = None,
     stop: Stop | None = None,
 ) -> Scene:
-    """`scene.build` without a pause for any other thread; simple shapes are made right here.
+    """`scene.build` without a pause for any other thread; light meshes are made right here.
 
     Args:
         arm: the scene's arm, for the view's thread; of the name in `options`.
@@ -121,10 +121,25 @@ def build(
     Raises:
         ValueError: what `scene.build` raises, `Ended` and `Stopped`.
     """
-    if light(options.mesh):
-        return scenes.build(options, version, progress)
     work = functools.partial(scenes.build, options, version, warm=False)
-    scene: Scene = run(work, allowance(options.mesh), progress, stop, arm)
+    return aside(work, options.mesh, arm, progress, stop)
+
+
+def aside(
+    work: Callable[..., Scene],
+    mesh: str,
+    arm: Arm,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
+) -> Scene:
+    """The scene that ``work(progress=…)`` builds around a mesh, by `run`, or here if it is light.
+
+    Raises:
+        ValueError: what the work raises, `Ended` and `Stopped`.
+    """
+    if light(mesh):
+        return work(progress=progress)
+    scene: Scene = run(work, allowance(mesh), progress, stop, arm)
     return scene
 
 

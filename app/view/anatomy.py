@@ -9,16 +9,18 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.control.meeting import sees
+from app.judges.meeting import sees
+from app.recording.playback import Moment
 from app.scene.scene import Scene
 from app.view import palette
+from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
 LINGER = 1.0  # how long the mesh stays translucent once it hides the tip no longer [s]
 
 
-class Anatomy:
+class Anatomy(Part):
     """The mesh as drawn (possibly decimated), opaque or, to be looked through, translucent."""
 
     def __init__(self, api: viser.SceneApi) -> None:
@@ -67,6 +69,11 @@ class Anatomy:
         """Let one look through the bone."""
         self._translucent = on
         self._draw()
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Let everybody see the tip."""
+        eyes = [np.asarray(client.camera.position) for client in clients.values()]
+        self.look_through(eyes, np.array(shown.tip.translation))
 
     def look_through(self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> None:
         """Let the tip p_tip (3,) [m] be seen from every eye (3,) in scene units.

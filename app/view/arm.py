@@ -6,14 +6,16 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from app.recording.playback import Moment
 from app.scene.scene import Scene
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 from robots import Arm
 
 RESTING = 1e-7  # poses that change by less are not sent [m, quaternion units]
 
 
-class ArmDrawing:
+class ArmDrawing(Part):
     """The arm's meshes; moving them costs two messages for a joint, not for a body."""
 
     def __init__(self, api: viser.SceneApi) -> None:
@@ -53,6 +55,10 @@ class ArmDrawing:
         self._visible = visible
         if self._root is not None:
             self._root.visible = visible
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Move the arm to the tick's joints."""
+        self.update(shown.telemetry.q)
 
     def update(self, q: NDArray[np.float64]) -> None:
         """Move the bodies to the joint positions q (n,)."""

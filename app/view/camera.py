@@ -19,7 +19,7 @@ FIELD_OF_VIEW = np.deg2rad(40.0)  # vertical [rad]
 # is half a picture's height nearer than the middle is drawn 1.8 % larger.
 PARALLEL = np.deg2rad(2.0)
 NEAREST = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
-FARTHEST = 2000.0  # 20 m
+FARTHEST_DRAWN = 2000.0  # 20 m
 # From the front right and above, the side of the mesh that the arms' bodies do not hide.
 DIRECTION = np.array([0.55, 0.62, 0.56]) / np.linalg.norm([0.55, 0.62, 0.56])
 
@@ -187,7 +187,7 @@ def compose_first_sight(server: viser.ViserServer, view: View) -> None:
     camera.up = (0.0, 0.0, 1.0)
     camera.fov = FIELD_OF_VIEW
     camera.near = NEAREST
-    camera.far = FARTHEST
+    camera.far = FARTHEST_DRAWN
     camera.position = to_view(view.eye)
     camera.look_at = to_view(view.look_at)
 
@@ -221,10 +221,10 @@ def is_parallel(client: viser.ClientHandle) -> bool:
 def keep_depth(client: viser.ClientHandle) -> None:
     """Have a far camera tell near from far: its clipping planes go along with its distance."""
     camera = client.camera
-    near, far = NEAREST, FARTHEST
+    near, far = NEAREST, FARTHEST_DRAWN
     if is_parallel(client):
         distance = float(np.linalg.norm(camera.position - camera.look_at))
-        near, far = 0.5 * distance, distance + FARTHEST
+        near, far = 0.5 * distance, distance + FARTHEST_DRAWN
     # What changes little is not worth a message.
     if not 0.8 < camera.near / near < 1.25:
         camera.near, camera.far = near, far

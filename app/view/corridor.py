@@ -8,34 +8,36 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.control.messages import Telemetry
+from app.recording.playback import Moment
 from app.scene.scene import DEFAULT_WIDTH, Scene, corridor
 from app.settings import number
 from app.view import palette
-from app.view.feature import Stage
+from app.view.context import PageContext
 from app.view.fields import NumberField, show
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
 HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
 BEYOND = 3e-3  # of the drawn walls before and after the path [m]
 
 
-class CorridorControl:
+class CorridorControl(Part):
     """Switch and width of the corridor; there is nothing to switch where no path is planned."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._session, self._hand, self._tell = stage.session, stage.hand, stage.tell
-        self._screen = stage.screen
-        self._api = stage.server.scene
+    def __init__(self, context: PageContext) -> None:
+        self._session, self._hand, self._tell = context.session, context.hand, context.tell
+        self._screen = context.screen
+        self._api = context.server.scene
         self._drawn: tuple[int, float | None] | None = None
-        self._named = (-1, 0)  # version of the scene, end of the path that the label is at
+        self._name = context.labels.add("/corridor/name", "planned cut", anchor="top-left")
+        self._end = 0  # of the path that the label is at
         kind = number("corridor")
         low, high = kind.low * kind.shown, kind.high * kind.shown
-        with stage.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
-            self._on = stage.server.gui.add_checkbox(
+        with context.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
+            self._on = context.server.gui.add_checkbox(
                 "Stay by the path", False, hint="The tool may leave the planned path only so far."
             )
-            self._width = stage.server.gui.add_number(
+            self._width = context.server.gui.add_number(
                 "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low, max=high, step=0.1
             )
         self._field = NumberField(
@@ -46,13 +48,11 @@ class CorridorControl:
     def set_scene(self, scene: Scene) -> None:
         self._folder.visible = scene.planned_path is not None
         self._drawn = None
-        self._named = (-1, 0)
+        self._name.visible = False
 
-    def frame(self, telemetry: Telemetry) -> None:
-        shown = self._screen.shown
+    def frame(self, shown: Moment, clients: Clients) -> None:
         scene, width = shown.scene, shown.options.corridor
-        if telemetry.step is not None:
-            self._draw_name(scene, telemetry.step.tip.translation)
+        self._draw_name(scene, shown.tip.translation)
         if self._drawn == (scene.version, width):
             return
         self._drawn = (scene.version, width)
@@ -72,10 +72,10 @@ class CorridorControl:
         for side, name in enumerate(("left", "right")):
             self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
 
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         live = self._screen.live
         self._on.disabled = self._width.disabled = not live
-        show(self._on, self._screen.shown.options.corridor is not None)
+        show(self._on, shown.options.corridor is not None)
         self._field.sync()
 
     def _in_force(self) -> float | None:
@@ -100,19 +100,11 @@ class CorridorControl:
     def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
         """The label, at the end of the path that is farther from the tip and its labels."""
         path = scene.planned_path
-        ends = np.zeros((2, 3)) if path is None else path[[0, -1]]
-        end = far_end(ends, p_tip, self._named[1])
-        if self._named == (scene.version, end):
-            return
-        self._named = (scene.version, end)
-        self._api.add_label(
-            "/corridor/name",
-            "planned cut",
-            position=to_view(ends[end]),
-            anchor="top-left",
-            font_screen_scale=0.8,
-            visible=path is not None,
-        )
+        self._name.visible = path is not None
+        if path is not None:
+            ends = path[[0, -1]]
+            self._end = far_end(ends, p_tip, self._end)
+            self._name.position = to_view(ends[self._end])
 
     def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
         visible = corners is not None

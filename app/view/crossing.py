@@ -6,14 +6,17 @@ import numpy as np
 import viser
 
 from app.control.watch import Crossing
+from app.recording.playback import Moment
 from app.view import palette
+from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import to_view
 
 
-class CrossingMark:
+class CrossingMark(Part):
     """A dot and a label at the first crossing, until the tool is reset or the scene is changed."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._dot = api.add_point_cloud(
             "/crossing/dot",
             points=np.zeros((1, 3), dtype=np.float32),
@@ -22,10 +25,12 @@ class CrossingMark:
             point_shape="circle",
             visible=False,
         )
-        self._label = api.add_label(
-            "/crossing/label", "", anchor="top-left", font_screen_scale=0.8, visible=False
-        )
+        self._label = labels.add("/crossing/label", anchor="top-left")
         self._shown: Crossing | None = None
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Mark the crossing that there is."""
+        self.update(shown.crossing)
 
     def update(self, crossing: Crossing | None) -> None:
         """Show this crossing; None: there is none."""

@@ -1,4 +1,8 @@
-"""Where the tool is with respect to the anatomy, found without any plane or rule."""
+"""Where the tool is with respect to the anatomy, found without any plane or rule.
+
+Distance and side are the surface's own answers, from the tree that the planes come from too; what
+was crossed and what is between two points are not.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import vf
-from app.control.meeting import sees
 from app.control.watch import Crossing
+from app.judges.meeting import sees
+from app.judges.oracles import SCRATCH
 from app.scene.scene import Scene
-from app.studies.verification.oracles import SCRATCH
 from robots import Arm
 
 FloatArray = NDArray[np.float64]

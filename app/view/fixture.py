@@ -9,8 +9,11 @@ import viser
 from numpy.typing import NDArray
 
 import vf
+from app.recording.playback import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
+from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view, turn_z_to
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +28,7 @@ BLOCKS_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of
 LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
-class FixtureDrawing:
+class FixtureDrawing(Part):
     """Planes are drawn as their discs inside the motion sphere, coloured by the rule.
 
     The more a plane pushes the tool back, the fuller its colour; the one that pushes most has a
@@ -34,7 +37,7 @@ class FixtureDrawing:
     change.
     """
 
-    def __init__(self, api: viser.SceneApi, root: str = "/fixture") -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels, root: str = "/fixture") -> None:
         """Make the nodes under `root`, invisible until the first `update`."""
         self._sphere = api.add_icosphere(
             f"{root}/sphere",
@@ -69,9 +72,7 @@ class FixtureDrawing:
                 ("arrow", _arrow(BLOCKS_LENGTH, thickness=2.2)),
             )
         ]
-        self._blocks = api.add_label(
-            f"{root}/blocks", "blocks", anchor="bottom-left", font_screen_scale=0.8, visible=False
-        )
+        self._blocks = labels.add(f"{root}/blocks", anchor="bottom-left")
         self._triangles = {
             rule: api.add_mesh_simple(
                 f"{root}/triangles_{rule.name.lower()}",
@@ -103,6 +104,11 @@ class FixtureDrawing:
         self.inspected = False
         """Somebody else draws the triangles, with more to say about them: let them be seen."""
 
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Draw the tick's planes."""
+        if shown.telemetry.step is not None:
+            self.update(shown.telemetry.step, shown.scene.surface)
+
     def update(self, step: vf.Step, surface: vf.Surface) -> None:
         """Draw what one tick was constrained by."""
         p_tip = np.asarray(step.tip.translation)
@@ -128,8 +134,9 @@ class FixtureDrawing:
     def hide(self) -> None:
         """Take everything away until the next `draw`."""
         nodes = (self._edges, self._sphere, self._calm, self._leaning, self._rims, self._normals)
-        for node in (*nodes, *self._blocking, self._blocks, *self._triangles.values()):
+        for node in (*nodes, *self._blocking, *self._triangles.values()):
             node.visible = False
+        self._blocks.visible = False
 
     def _draw_planes(
         self,
@@ -145,7 +152,8 @@ class FixtureDrawing:
         self._normals.visible = self.show_normals and any_plane
         strongest = float(multipliers[chosen].max(initial=0.0))
         blocks = self.show_planes and any_plane and strongest > LEANING
-        for node in (*self._blocking, self._blocks):
+        self._blocks.visible = blocks
+        for node in self._blocking:
             node.visible = blocks
         if not any_plane:
             return

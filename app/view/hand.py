@@ -14,7 +14,8 @@ import viser
 from numpy.typing import NDArray
 
 from app.control.loop import VIEW_PRIORITY, prefer_this_thread
-from app.session import Refused, Session
+from app.refused import Refused
+from app.session import Session
 from app.view import who
 from app.view.proxy import Proxy
 from app.view.units import pose_from_view, same_pose
@@ -85,9 +86,10 @@ class Hand:
 
     def tend(self, target: pin.SE3 | None, autopilot: bool) -> None:
         """From the view thread, each frame: keep a resting drag alive, the gizmo in its place."""
-        owner = self._owner
+        owner, clients = self._owner, self._server.get_clients()
+        self._proxy.holder = self.name_of_owner if owner is not None and len(clients) > 1 else ""
         if owner is not None:
-            if owner in self._server.get_clients():
+            if owner in clients:
                 self._session.touch()
             else:
                 self.submit(self._abandon, owner)

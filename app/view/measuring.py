@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.control.messages import Telemetry
-from app.control.watch import Crossing
 from app.recording.playback import Moment
 from app.view.depth import Whereabouts, whereabouts
 from app.view.readouts import Extras
@@ -24,12 +23,10 @@ class Measuring:
         self._before: Telemetry | None = None  # at the last read-out
         self._tip_before: NDArray[np.float64] | None = None
 
-    def measure(self, shown: Moment, crossing: Crossing | None, unwatched: int) -> Extras:
+    def measure(self, shown: Moment, unwatched: int) -> Extras:
         """What there is to say of this moment besides its telemetry.
 
-        Args:
-            crossing: where the tip crossed the mesh of this scene, if it did.
-            unwatched: ticks that nobody tested for a crossing.
+        `unwatched`: ticks that nobody tested for a crossing.
         """
         scene, telemetry = shown.scene, shown.telemetry
         step = telemetry.step
@@ -39,7 +36,7 @@ class Measuring:
             p_tip = np.array(step.tip.translation)
             reach = step.radius + shown.options.tip_radius
             in_sphere = len(scene.surface.within(p_tip, reach).triangles)
-            where = whereabouts(scene, telemetry.q, p_tip, shown.options.tip_radius, crossing)
+            where = whereabouts(scene, telemetry.q, p_tip, shown.options.tip_radius, shown.crossing)
             before = self._before
             if before is not None and self._tip_before is not None:
                 elapsed = telemetry.time - before.time

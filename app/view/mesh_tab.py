@@ -13,16 +13,17 @@ from typing import Any
 import viser
 
 import meshes
-from app.control.messages import Telemetry
 from app.files import size
 from app.recording.outline import outline
+from app.recording.playback import Moment
+from app.refused import Refused
 from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
 from app.scene.scene import Scene
-from app.session import Refused
 from app.view import dialogs, health, palette
-from app.view.feature import Stage
+from app.view.context import PageContext
+from app.view.part import Part
 from app.view.recorder import recordings
 from app.view.uploads import Receiver
 from meshes.units import choices as choices_of
@@ -32,28 +33,28 @@ _UNKNOWN = f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press
 NONE = "–"
 
 
-class MeshTab:
+class MeshTab(Part):
     """Upload, health report with its problems drawn on the mesh, repair and flip.
 
-    Everything slow runs in a thread of its own, one thing at a time; the old mesh stays until the
-    new one is ready, and for good if that fails.
+    Everything slow runs in a thread of its own; the old mesh stays until the new one is ready, and
+    for good if that fails. What brings another mesh is the session's work; examining is not, and
+    does not keep anybody from changing the mesh meanwhile.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._session = stage.session
-        self._tell = stage.tell
-        self._escape = stage.escape
-        self._drawing = health.HealthDrawing(stage.server.scene)
-        self._busy = threading.Lock()
-        self._stop = worker.Stop()  # of the newest measuring
+    def __init__(self, context: PageContext) -> None:
+        self._session = context.session
+        self._tell = context.tell
+        self._escape = context.escape
+        self._drawing = health.HealthDrawing(context.server.scene)
+        self._examining = threading.Lock()
         self._scene: Scene | None = None  # what is drawn
         # The scene that the report is on, the report and its marks.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
-        self._library = stage.library
-        self._screen = stage.screen
-        server = stage.server
+        self._library = context.library
+        self._screen = context.screen
+        server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
-        with stage.left.add_tab("Mesh"):
+        with context.left.add_tab("Mesh"):
             self._upload = server.gui.add_upload_button(
                 "Bring your own mesh",
                 hint=f"{', '.join(meshes.FORMATS).upper()}; at most {limit / 1e6:,.0f} MB.",
@@ -86,7 +87,7 @@ class MeshTab:
             self._flip = server.gui.add_button(
                 "Flip", hint="Turn open sheets over: they have no outside to be known by."
             )
-        stage.uploads.take(
+        context.uploads.take(
             self._upload,
             Receiver(
                 meshes.FORMATS,
@@ -103,21 +104,23 @@ class MeshTab:
         # Plain functions: viser runs them in its pool, where they may take their time.
         @self._examine.on_click
         def _examine(event: viser.GuiEvent[Any]) -> None:
-            self._work(event.client, lambda: self._look(self._session.scene))
+            if self._examining.locked():
+                self._tell(event.client, "The mesh is being examined: wait until that is done.")
+            else:
+                self._try(event.client, lambda: self._look(self._session.scene))
 
         @self._repair.on_click
         def _repair(event: viser.GuiEvent[Any]) -> None:
-            self._work(event.client, lambda: self._change(repair=True))
+            self._try(event.client, lambda: self._change(repair=True))
 
         @self._flip.on_click
         def _flip(event: viser.GuiEvent[Any]) -> None:
             flip = not self._session.options.flip
-            self._work(event.client, lambda: self._change(flip=flip))
+            self._try(event.client, lambda: self._change(flip=flip))
 
         @self._halt.on_click
         def _halt(_event: viser.GuiEvent[Any]) -> None:
-            self._stop()
-            self._session.stop_change()
+            self._session.work.stop()
 
         @self._delete.on_click
         def _delete(event: viser.GuiEvent[Any]) -> None:
@@ -135,10 +138,7 @@ class MeshTab:
             self._examined = None
         self._show_report()
 
-    def frame(self, telemetry: Telemetry) -> None:
-        """Nothing moves."""
-
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         """What is kept, and what can be done just now."""
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):
@@ -176,7 +176,7 @@ class MeshTab:
     def _ask(self, client: viser.ClientHandle, path: Path) -> None:
         """Ask the one who sent a file for what it does not say, then use it."""
         found: list[tuple[float, str | None]] = []
-        self._work(client, lambda: found.append(self._measured(path)), path.name)
+        self._try(client, lambda: found.append(self._measured(path)), path.name)
         if not found:
             shutil.rmtree(path.parent, ignore_errors=True)
             return
@@ -217,7 +217,7 @@ class MeshTab:
             facing = str(up.value)
             self._escape.closed(client.client_id, drop)
             if dialogs.close(dialog):
-                self._work(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
+                self._try(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
 
         for unit, button in choices.items():
             button.on_click(functools.partial(choose, unit))
@@ -227,34 +227,32 @@ class MeshTab:
             self._escape.closed(client.client_id, drop)
             drop()
 
-    def _work(
+    def _try(
         self, client: viser.ClientHandle | None, job: Callable[[], None], about: str = ""
     ) -> None:
         """Do one slow thing; whatever comes of it, the page goes on."""
-        if not self._busy.acquire(blocking=False):
-            self._tell(client, "The mesh is being worked on: wait until that is done.")
-            return
         try:
-            self._offer(busy=True)
             job()
             self._say("")
+        except Refused as error:  # other work is under way, which the line above is about
+            self._tell(client, f"Nothing is changed: {error}")
         except Exception as error:
             # Whatever a reader of a user's file may raise, the old mesh stays.
             self._say(f"{about}: not taken. {error}".removeprefix(": "), palette.VERMILION)
             self._tell(client, f"Nothing is changed: {error}")
         finally:
-            self._busy.release()
             self._offer()
 
     def _measured(self, path: Path) -> tuple[float, str | None]:
         """The file's diagonal in its own unit, and that unit if it says it."""
         work = functools.partial(measure, str(path))
-        if worker.light(str(path)):
-            return work(progress=self._progress)
-        self._stop = stop = worker.Stop()
-        allowed = worker.allowance(str(path))
-        found: tuple[float, str | None] = worker.run(work, allowed, self._progress, stop)
-        return found
+        with self._session.work.begin() as stop:
+            self._offer()
+            if worker.light(str(path)):
+                return work(progress=self._progress)
+            allowed = worker.allowance(str(path))
+            found: tuple[float, str | None] = worker.run(work, allowed, self._progress, stop)
+            return found
 
     def _keep(self, path: Path, **wanted: Any) -> None:
         """Use a file that has arrived, and keep it if it can be used."""
@@ -270,13 +268,18 @@ class MeshTab:
             raise
 
     def _change(self, **wanted: Any) -> None:
-        self._look(self._session.change(**wanted, progress=self._progress))
+        with self._session.work.begin() as stop:
+            self._offer()
+            scene = self._session.change(**wanted, progress=self._progress, stop=stop)
+        self._look(scene)
 
     def _look(self, scene: Scene) -> None:
         """Examine a scene's mesh and show what is found."""
-        found = meshes.health(
-            scene.surface, progress=lambda stage: self._progress(f"examining: {stage}")
-        )
+        with self._examining:
+            self._offer()
+            found = meshes.health(
+                scene.surface, progress=lambda stage: self._progress(f"examining: {stage}")
+            )
         if scene is not self._session.scene:
             return
         # Clear of the mesh as drawn, which for large ones is a thinned copy.
@@ -304,13 +307,13 @@ class MeshTab:
             self._report.content = _UNKNOWN
             self._drawing.set(None)
 
-    def _offer(self, busy: bool | None = None) -> None:
-        busy = self._busy.locked() if busy is None else busy
-        self._upload.disabled = not self._screen.live
-        busy = busy or not self._screen.live
+    def _offer(self) -> None:
+        going, live = self._session.work.going, self._screen.live
+        busy = going or self._examining.locked() or not live
+        self._upload.disabled = not live
         repaired = self._session.options.repair
         self._examine.disabled = self._flip.disabled = busy
-        self._halt.disabled = not busy
+        self._halt.disabled = not going
         self._repair.disabled = busy or repaired
         self._repair.label = "Repaired" if repaired else "Repair"
         self._flip.label = "Flip back" if self._session.options.flip else "Flip"

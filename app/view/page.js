@@ -21,6 +21,18 @@
     };
   }
 
+  // A camera is told with the size of its picture in the page's pixels, which is what labels are
+  // sized in; viser's client tells that of its canvas, in pixels of some other size.
+  const post = Worker.prototype.postMessage;
+  Worker.prototype.postMessage = function (data, ...more) {
+    const canvas = document.querySelector("canvas[data-engine]");
+    if (data?.message?.type === "ViewerCameraMessage" && canvas !== null) {
+      data.message.image_height = canvas.clientHeight;
+      data.message.image_width = canvas.clientWidth;
+    }
+    return post.call(this, data, ...more);
+  };
+
   // Keys act whatever has the focus but a field that is written in. viser's client does not hear
   // keys while any input has the focus, a checkbox or a chosen option among them.
   const OWN = new Set(["Tab", "Enter", " ", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight",

@@ -10,33 +10,32 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
 from app.control.loop import VIEW_PRIORITY, prefer_this_thread
-from app.control.messages import Telemetry
-from app.control.watch import Crossing
 from app.recording.playback import Moment
 from app.scenarios.file import Scenario
 from app.scene.library import Library
-from app.scene.scene import Scene
 from app.session import Session
-from app.view import camera, guard, light, readouts, style, who
+from app.view import guard, light, style, who
 from app.view.anatomy import Anatomy
 from app.view.arm import ArmDrawing
+from app.view.cameras import Cameras
+from app.view.context import PageContext
 from app.view.corridor import CorridorControl
 from app.view.crossing import CrossingMark
 from app.view.escape import Escape
-from app.view.feature import Feature, Maker, Stage
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand
 from app.view.inspector import InspectorTab
 from app.view.keys import Keys
-from app.view.measuring import Measuring
+from app.view.labels import Labels
 from app.view.mesh_tab import MeshTab
-from app.view.panel import WHO, Panel, Readouts
+from app.view.panel import BANNER, WHO, Panel
+from app.view.part import Part
 from app.view.proxy import Proxy
+from app.view.readout_panel import ReadoutPanel
 from app.view.recorder import RecordTab
 from app.view.ruler import Rulers
 from app.view.scenarios import ScenarioChoice
@@ -56,16 +55,6 @@ BREATH = 0.008  # left to others between two updates, however long they take [s]
 READOUT = 0.25  # between two updates of the read-outs [s]
 # A drag is shown at once, after so long: the control thread has then had its ticks [s].
 PROMPT = 0.004
-
-# Parts of the page that stand on their own, in the order they are built.
-FEATURES: tuple[Maker, ...] = (
-    ScenarioChoice,
-    Signals,
-    InspectorTab,
-    MeshTab,
-    CorridorControl,
-    RecordTab,
-)
 
 
 class Page:
@@ -105,53 +94,71 @@ class Page:
         self._screen = Screen(session)
         self._scene_version = -1
         self._anatomy = Anatomy(api)
-        self._rulers = Rulers(api)
+        self._labels = Labels(server)
+        self._rulers = Rulers(api, self._labels)
         self._arm = ArmDrawing(api)
-        self._fixture = FixtureDrawing(api)
-        self._tool = Tool(api)
-        self._crossing = CrossingMark(api)
-        self._proxy = Proxy(api, session.handle)
+        self._fixture = FixtureDrawing(api, self._labels)
+        self._tool = Tool(api, self._labels)
+        self._crossing = CrossingMark(api, self._labels)
+        self._proxy = Proxy(api, self._labels, session.handle)
         self._hand = Hand(session, server, self._proxy, self._tell)
-        self._following = camera.Following()
-        self._escape = Escape(server, self._hand)
+        self._cameras = Cameras(server, self._screen, self._tell)
         self._section = Section(self._anatomy)
-        library = Library()
-        self._panel = Panel(
+        escape, library = Escape(server, self._hand), Library()
+        panel = Panel(
             server,
             session,
             self._hand,
             self._tell,
-            self._escape,
+            escape,
             self._add_views,
             self._screen,
             library,
         )
-        self._who = who.Who(server, WHO)
+        self._who = who.Who(lambda: self._hand.owner, WHO)
         Keys(server, session, self._hand, self._tell, self._views.commands())
-        self._readouts = Readouts(server)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(345)
-        self._readouts.panel.dock_left()
-        self._readouts.panel.set_width(290)
-        stage = Stage(
+        left = ReadoutPanel(server, session, self._screen, BANNER)
+        context = PageContext(
             server,
             session,
             self._hand,
             self._tell,
-            self._readouts.panel,
+            left.panel,
             self._fixture,
             self._proxy,
-            self._look,
-            self._escape,
-            self._following,
+            self._cameras,
+            escape,
             self._screen,
+            self._labels,
             library,
             Uploads(server, self._tell),
             scenario,
         )
-        self._features: list[Feature] = [make(stage) for make in FEATURES]
+        # In the order they are called.
+        self._parts: tuple[Part, ...] = (
+            self._anatomy,
+            self._rulers,
+            self._arm,
+            self._fixture,
+            self._tool,
+            self._proxy,
+            self._crossing,
+            self._cameras,
+            self._section,
+            self._who,
+            left,
+            panel,
+            ScenarioChoice(context),
+            Signals(context),
+            InspectorTab(context),
+            MeshTab(context),
+            CorridorControl(context),
+            RecordTab(context),
+            self._labels,  # after all that set theirs
+        )
 
-        self._measuring = Measuring()
         self._frame()  # the first client finds everything in place
         self._read_out()
         self._stop = threading.Event()
@@ -251,93 +258,25 @@ class Page:
 
     def _frame(self) -> None:
         """Bring the scene up to the newest tick."""
-        live = self._screen.live
         shown = self._screen.now()
-        scene, options, telemetry = shown.scene, shown.options, shown.telemetry
+        scene, telemetry = shown.scene, shown.telemetry
         with self._server.atomic():
             if scene.version != self._scene_version:
-                self._adopt(scene)
+                for part in self._parts:
+                    part.set_scene(scene)
+                self._scene_version = scene.version
             self._hand.tend(telemetry.target, telemetry.autopilot)
-            clients, owner = self._server.get_clients(), self._hand.owner
-            self._who.update(owner)
-            self._proxy.lock_rotation(options.lock_orientation)
             if telemetry.scene != scene.version:
                 return  # the loop has not swapped yet
-            self._arm.update(telemetry.q)
-            step = telemetry.step
-            if step is None:
-                tip, force = scene.T_base_start, np.zeros(3)
-            else:
-                tip, force = step.tip, step.force
-                self._fixture.update(step, scene.surface)
-            self._tool.update(tip.translation, options.tip_radius, force)
-            holder = self._hand.name_of_owner if owner is not None and len(clients) > 1 else ""
-            handle = self._handle(telemetry) if live else None
-            self._proxy.update(handle, telemetry.target, tip.translation, holder)
-            self._crossing.update(self._crossing_of(scene) if live else None)
-            eyes = [np.asarray(client.camera.position) for client in clients.values()]
-            self._anatomy.look_through(eyes, np.array(tip.translation))
-            self._following.update(clients, np.array(tip.translation))
-            self._section.update(scene, clients, np.array(tip.translation))
-            for client in clients.values():
-                camera.keep_depth(client)
-            for feature in self._features:
-                feature.frame(telemetry)
-
-    def _handle(self, telemetry: Telemetry) -> pin.SE3:
-        """Where the gizmo is: in the autopilot's hand or in the operator's."""
-        if telemetry.autopilot and telemetry.target is not None:
-            return telemetry.target
-        return self._session.handle
-
-    def _crossing_of(self, scene: Scene) -> Crossing | None:
-        """Where the session's tip crossed the mesh that is drawn."""
-        crossing = self._session.crossing
-        return crossing if crossing is not None and crossing.scene == scene.version else None
-
-    def _adopt(self, scene: Scene) -> None:
-        """Draw another scene, and look at it."""
-        self._anatomy.set_scene(scene)
-        self._rulers.set_scene(scene, camera.site_half_height(scene))
-        self._arm.set_scene(scene)
-        for feature in self._features:
-            feature.set_scene(scene)
-        view = camera.site_view(scene, scene.T_base_start.translation)
-        camera.compose_first_sight(self._server, view)
-        if self._scene_version >= 0:
-            for client_id, client in self._server.get_clients().items():
-                self._following.stop(client_id)
-                camera.move(client, view)
-        self._scene_version = scene.version
+            clients = self._server.get_clients()
+            for part in self._parts:
+                part.frame(shown, clients)
 
     def _read_out(self) -> None:
         shown = self._screen.now()
-        options, telemetry = shown.options, shown.telemetry
-        crossing = self._crossing_of(shown.scene) if self._screen.live else None
-        extras = self._measuring.measure(shown, crossing, self._session.unwatched)
-        if self._screen.live:
-            banner = readouts.banner(telemetry, options, extras, shown.clutched)
-        else:
-            banner = readouts.note(self._screen.caption)
         with self._server.atomic():
-            self._readouts.show(readouts.readouts(telemetry, options, extras))
-            self._panel.set_banner(banner)
-            self._panel.sync()
-            for feature in self._features:
-                feature.read_out(telemetry)
-
-    def _look(self, client: viser.ClientHandle, name: str) -> None:
-        """Move one client's camera to a preset; "Follow" also lets it go along, or stop that."""
-        shown = self._screen.shown
-        step = shown.telemetry.step
-        followed = client.client_id in self._following.clients
-        self._following.stop(client.client_id)
-        if name == "Follow" and followed:
-            return
-        camera.move(client, camera.named_view(name, shown.scene, step))
-        if name == "Follow" and step is not None:
-            self._following.start(client.client_id, np.array(step.tip.translation))
-            self._tell(client, "The camera follows the tool. Follow again, or F, lets it stand.")
+            for part in self._parts:
+                part.read_out(shown)
 
     def _tell(self, client: viser.ClientHandle | None, text: str) -> None:
         """A notification on one client's page."""
@@ -346,7 +285,7 @@ class Page:
 
     def _add_views(self) -> None:
         self._views = Views(
-            self._server, self._hand, self._look, self._section.toggle, self._layers()
+            self._server, self._hand, self._cameras.look, self._section.toggle, self._layers()
         )
 
     def _layers(self) -> dict[str, tuple[bool, Callable[[bool], None]]]:

@@ -58,7 +58,7 @@ LOOKS: dict[vf.Rule, Look] = {
 }
 
 
-class State(Enum):
+class TriangleState(Enum):
     """What the inspector says of a triangle in the motion sphere, by a colour."""
 
     FACE = "condition 1"
@@ -68,14 +68,16 @@ class State(Enum):
     INACTIVE = "inactive"
 
 
-STATES: dict[State, Look] = {
-    State.FACE: Look(BLUE, "Condition 1", "closest point inside the face, tool in front"),
-    State.RIDGE: Look(ORANGE, "Condition 2", "the neighbour has the same closest point"),
-    State.VALLEY: Look(GREEN, "Condition 3", "closest point on a valley edge, tool in front"),
-    State.CERTIFIED: Look(
+TRIANGLE_STATES: dict[TriangleState, Look] = {
+    TriangleState.FACE: Look(BLUE, "Condition 1", "closest point inside the face, tool in front"),
+    TriangleState.RIDGE: Look(ORANGE, "Condition 2", "the neighbour has the same closest point"),
+    TriangleState.VALLEY: Look(
+        GREEN, "Condition 3", "closest point on a valley edge, tool in front"
+    ),
+    TriangleState.CERTIFIED: Look(
         PURPLE, "certified only", "no condition, yet the certified rule needs it"
     ),
-    State.INACTIVE: Look((150, 150, 150), "inactive", "in the sphere, but passed over"),
+    TriangleState.INACTIVE: Look((150, 150, 150), "inactive", "in the sphere, but passed over"),
 }
 
 RULE_HELP: dict[str, str] = {

@@ -19,12 +19,13 @@ from app.recording.playback import Moment
 from app.scene.library import Library
 from app.session import Session
 from app.settings import DECLARED, number
-from app.view import palette, readouts, style
+from app.view import palette, style
 from app.view.escape import Escape
 from app.view.fields import NumberField, show
 from app.view.hand import Hand, Tell
 from app.view.help import Help
 from app.view.keys import STEPS
+from app.view.part import Part
 from app.view.screen import Screen
 
 RADII: dict[str, float | None] = {
@@ -37,7 +38,7 @@ RADII: dict[str, float | None] = {
 CUSTOM = "other"
 
 # Places of the first lines of the panel; everything else comes behind, in the order it is made.
-_TITLE_LINE, WHO, _BANNER_LINE, _HELP_LINE = -4.0, -3.0, -2.0, -1.0
+_TITLE_LINE, WHO, BANNER, _HELP_LINE = -4.0, -3.0, -2.0, -1.0
 
 _TITLE = (
     "<div class='vf-title' style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;"
@@ -47,7 +48,7 @@ _TITLE = (
 _NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:var(--vf-faint)"
 
 
-class Panel:
+class Panel(Part):
     """The right-hand panel. `sync` brings it in line with what the session really does."""
 
     def __init__(
@@ -72,11 +73,9 @@ class Panel:
         self._settings: list[Any] = []  # controls that set the session's values
         self._groups: list[Any] = []  # which cannot be disabled
         self._fields: list[NumberField] = []
-        self._building = threading.Lock()
         self._note: str | None = None
         self._autopilot_asked = 0.0  # monotonic time [s]
         self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
-        self._banner = self._gui.add_html("", order=_BANNER_LINE)
         Help(server, hand, escape, _HELP_LINE)
         self._drive_controls()
         self._fixture_controls()
@@ -85,9 +84,9 @@ class Panel:
         self._teleop_controls()
         self.sync()
 
-    def set_banner(self, text: str) -> None:
-        """HTML of the line that tells the state."""
-        self._banner.content = text
+    def read_out(self, shown: Moment) -> None:
+        """Show what is set by now."""
+        self.sync()
 
     def sync(self) -> None:
         """Show the values of what is on the screen in every control that shows another one.
@@ -96,7 +95,7 @@ class Panel:
         """
         live, shown = self._screen.live, self._shown()
         options, telemetry = shown.options, shown.telemetry
-        building = self._building.locked()
+        building = self._session.work.going
         for control in self._settings:
             control.disabled = not live or (building and control in (self._mesh, self._robot))
         for group in self._groups:
@@ -297,18 +296,15 @@ class Panel:
         ).start()
 
     def _change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
-        if not self._building.acquire(blocking=False):
-            self._tell(client, "Another change is under way: wait until it is done.")
-            return
         try:
-            self._mesh.disabled = self._robot.disabled = True
-            self._note = None
-            self._session.change(**wanted, progress=self._progress)
+            with self._session.work.begin() as stop:
+                self._mesh.disabled = self._robot.disabled = True
+                self._note = None
+                self._session.change(**wanted, progress=self._progress, stop=stop)
         except Exception as error:
             # Whatever a reader of a user's file may raise, the page and the old scene go on.
             self._tell(client, f"Not changed: {error}")
         finally:
-            self._building.release()
             try:
                 self.sync()
             except RuntimeError:
@@ -320,21 +316,6 @@ class Panel:
             f"<div style='{_NOTE};height:3.9em;color:{palette.css(palette.BLUE)}'>"
             f"⏳ {html.escape(text)} …</div>"
         )
-
-
-class Readouts:
-    """The left-hand panel: numbers, and what the colours mean."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self.panel = server.gui.add_panel()
-        with self.panel.add_tab("Read-outs"):
-            self._table = server.gui.add_html("")
-        with self.panel.add_tab("Legend"):
-            server.gui.add_html(readouts.legend())
-
-    def show(self, table: str) -> None:
-        """HTML of the table."""
-        self._table.content = table
 
 
 def _preset(radius: float | None) -> str:

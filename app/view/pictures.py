@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from app.files import harmless
-from app.view.feature import Stage
+from app.view.context import PageContext
 
 SIZE = (720, 1280)  # height and width of pictures [px]
 FRAMES, BETWEEN = 20, 0.2  # of an image sequence, and the time between two [s]
@@ -26,7 +26,7 @@ class Pictures:
     """Three buttons, made where they are to be."""
 
     def __init__(
-        self, stage: Stage, bind: Callable[[Any, Job], None], doing: Callable[[str], None]
+        self, context: PageContext, bind: Callable[[Any, Job], None], doing: Callable[[str], None]
     ) -> None:
         """Add the buttons.
 
@@ -34,8 +34,8 @@ class Pictures:
             bind: gives a button its job, which may take its time.
             doing: is told what takes long.
         """
-        self._stage, self._doing = stage, doing
-        gui = stage.server.gui
+        self._context, self._doing = context, doing
+        gui = context.server.gui
         picture_ = gui.add_button(
             "Screenshot", hint="Your view, without the panels.", icon=viser.Icon.CAMERA
         )
@@ -67,11 +67,12 @@ class Pictures:
         client.send_file_download(f"{self._name()}.gif", gif(taken), save_immediately=True)
 
     def _scene_page(self, client: viser.ClientHandle) -> None:
-        content = self._stage.server.get_scene_serializer().as_html().encode()
+        with self._context.labels.in_scene():  # until the end: the writer follows what is removed
+            content = self._context.server.get_scene_serializer().as_html().encode()
         client.send_file_download(f"{self._name()}.html", content, save_immediately=True)
 
     def _name(self) -> str:
-        mesh = self._stage.screen.shown.scene.mesh_name
+        mesh = self._context.screen.shown.scene.mesh_name
         return harmless(f"vf-sandbox_{mesh}_{time.strftime('%H-%M-%S')}", "vf-sandbox")
 
 

@@ -7,18 +7,21 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
+from app.recording.playback import Moment
 from app.view import palette
+from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import pose_to_view, to_buffer, to_view
 
 GIZMO_SIZE = 62.0  # length of its arrows [px]
 TAUT = 5e-5  # a shorter tether is not drawn [m]
 
 
-class Proxy:
+class Proxy(Part):
     """The gizmo is the master's handle. With scale 1 and no clutch it is the proxy itself;
     otherwise the proxy is drawn apart, as a ball."""
 
-    def __init__(self, api: viser.SceneApi, handle: pin.SE3) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels, handle: pin.SE3) -> None:
         wxyz, position = pose_to_view(handle)
         self.gizmo = api.add_transform_controls(
             "/proxy/gizmo",
@@ -30,13 +33,7 @@ class Proxy:
             wxyz=wxyz,
             position=position,
         )
-        self._name = api.add_label(
-            "/proxy/gizmo_name",
-            "proxy",
-            position=position,
-            anchor="top-right",
-            font_screen_scale=0.8,
-        )
+        self._name = labels.add("/proxy/gizmo_name", anchor="top-right")
         self._ball = api.add_point_cloud(
             "/proxy/ball",
             points=np.zeros((1, 3), dtype=np.float32),
@@ -45,9 +42,7 @@ class Proxy:
             point_shape="circle",
             visible=False,
         )
-        self._ball_name = api.add_label(
-            "/proxy/ball_name", "proxy", anchor="bottom-right", font_screen_scale=0.8, visible=False
-        )
+        self._ball_name = labels.add("/proxy/ball_name", "proxy", anchor="bottom-right")
         self._tether = api.add_line_segments(
             "/proxy/tether",
             points=np.zeros((1, 2, 3), dtype=np.float32),
@@ -58,6 +53,8 @@ class Proxy:
         )
         self._show_tether = True
         self._show_labels = True
+        self.holder = ""
+        """Who drags the gizmo, if that is to be said."""
         self.withdrawn = False
         """Somebody else is on the stage: draw nothing."""
 
@@ -78,16 +75,20 @@ class Proxy:
         if self.gizmo.disable_rotations != locked:
             self.gizmo.disable_rotations = locked
 
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Draw handle and proxy as they are."""
+        self.lock_rotation(shown.options.lock_orientation)
+        self.update(shown.handle, shown.telemetry.target, shown.tip.translation)
+
     def update(
         self,
         handle: pin.SE3 | None,
         target: pin.SE3 | None,
         p_tip: NDArray[np.float64],
-        holder: str = "",
     ) -> None:
         """Handle pose as the session knows it, the proxy (None: none), the tool tip (3,) [m].
 
-        `holder` is who drags it, if that is to be said. Without a handle there is only a proxy.
+        Without a handle there is only a proxy.
         """
         withdrawn = self.withdrawn or (handle is None and target is None)
         by_hand = handle is not None and not withdrawn
@@ -99,7 +100,9 @@ class Proxy:
                 np.abs(target.translation - handle.translation).max() > TAUT
             )
         self._name.position = to_view(handle.translation)
-        self._name.text = ("handle" if apart else "proxy") + (f" · {holder}" if holder else "")
+        self._name.text = ("handle" if apart else "proxy") + (
+            f" · {self.holder}" if self.holder else ""
+        )
         self.gizmo.visible = by_hand
         self._name.visible = self._show_labels and by_hand
         goal = handle if target is None else target

@@ -211,8 +211,8 @@ def legend() -> str:
     ]
     signs += [
         (look.color, f"<b>inspector, {html.escape(look.name)}</b>: {html.escape(look.meaning)}")
-        for state, look in palette.STATES.items()
-        if state in (palette.State.CERTIFIED, palette.State.INACTIVE)
+        for state, look in palette.TRIANGLE_STATES.items()
+        if state in (palette.TriangleState.CERTIFIED, palette.TriangleState.INACTIVE)
     ]
     rows = "".join(
         "<div style='display:flex;gap:7px;margin-bottom:2px'><span style='flex:none;width:11px;"

@@ -13,14 +13,14 @@ import platformdirs
 import viser
 
 from app import files
-from app.control.messages import Telemetry
 from app.recording.format import SUFFIX
 from app.recording.outline import outline
+from app.recording.playback import Moment
 from app.recording.read import read, under_way
-from app.scene.scene import Scene
-from app.session import Refused
+from app.refused import Refused
 from app.view import dialogs, palette
-from app.view.feature import Stage
+from app.view.context import PageContext
+from app.view.part import Clients, Part
 from app.view.pictures import Pictures
 from app.view.replaying import Replaying
 
@@ -36,20 +36,21 @@ def folder() -> Path:
     return platformdirs.user_data_path("vf-sandbox") / "recordings"
 
 
-class RecordTab:
+class RecordTab(Part):
     """Record and list; a replay has controls of its own, see `replaying`."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage, self._session, self._tell = stage, stage.session, stage.tell
-        self._busy = threading.Lock()  # opening a recording, or taking pictures
-        self._replaying = Replaying(stage)
+    def __init__(self, context: PageContext) -> None:
+        self._context, self._session, self._tell = context, context.session, context.tell
+        self._busy = threading.Lock()  # one order of this tab at a time
+        self._opening = False  # a replay is being built: the button stops that
+        self._replaying = Replaying(context)
         self._said = ""
         self._doing = ""  # what takes long just now
         self._moved: set[Path] = set()  # where files were that were renamed or deleted since
         self._wanted = ""  # what is to be chosen in the list once it is there
         self._described: tuple[Any, ...] = ()  # what is said of a recording is of this file
-        gui = stage.server.gui
-        with stage.left.add_tab("Record"):
+        gui = context.server.gui
+        with context.left.add_tab("Record"):
             self._record = gui.add_button(
                 "Record", hint="Keep every order and tick in a file.", icon=viser.Icon.PLAYER_RECORD
             )
@@ -64,23 +65,29 @@ class RecordTab:
                 gui.add_button("Rename", icon=viser.Icon.EDIT),
                 gui.add_button("Delete recording", icon=viser.Icon.TRASH, color="gray"),
             )
-            Pictures(stage, self._bind, self._take_time)
+            Pictures(context, self._bind, self._take_time)
         self._bind(self._record, self._toggle)
-        self._bind(self._open, self._start)
+
+        # A plain function, as in `_bind`.
+        @self._open.on_click
+        def _replay(event: viser.GuiEvent[Any]) -> None:
+            client = event.client
+            if self._opening:
+                self._session.work.stop()
+            elif client is not None:
+                self._try(client, lambda: self._start(client))
+
         for button, job in zip(
             self._others, (self._send, self._ask_name, self._ask_to_delete), strict=True
         ):
             self._bind(button, job)
         self._refresh()
 
-    def set_scene(self, scene: Scene) -> None:
-        """A replay brings its own."""
-
-    def frame(self, telemetry: Telemetry) -> None:
+    def frame(self, shown: Moment, clients: Clients) -> None:
         """The screen has asked the replay already."""
         self._replaying.frame()
 
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         """How the recording goes, and where the replay is."""
         tape = self._session.tape
         going = tape is not None and tape.running
@@ -92,6 +99,9 @@ class RecordTab:
         if self._record.label != label:
             self._record.label = label
             self._record.icon = viser.Icon.PLAYER_STOP if going else viser.Icon.PLAYER_RECORD
+        label = "Stop opening" if self._opening else "Replay"
+        if self._open.label != label:
+            self._open.label = label
         if tape is not None:
             text = f"Recording: {tape.rows:,} ticks." if going else tape.outcome
             color = palette.VERMILION if going or tape.note else palette.BLACK
@@ -116,8 +126,18 @@ class RecordTab:
 
     def _start(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
-        self._take_time(f"Opening {path.name} …")
-        self._replaying.show(path.stem, read(path))
+        doing = f"Opening {path.name}"
+        self._take_time(f"{doing} …")
+
+        def say(text: str) -> None:
+            self._take_time(f"{doing}: {text} …")
+
+        with self._session.work.begin() as stop:
+            self._opening = True
+            try:
+                self._replaying.show(path.stem, read(path), say, stop)
+            finally:
+                self._opening = False
 
     def _send(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
@@ -142,7 +162,7 @@ class RecordTab:
 
         dialogs.ask_name(
             client,
-            self._stage.escape,
+            self._context.escape,
             "Rename the recording",
             path.stem,
             "Rename",
@@ -158,7 +178,7 @@ class RecordTab:
 
         dialogs.ask(
             client,
-            self._stage.escape,
+            self._context.escape,
             "Delete the recording?",
             f"{path.name}, {files.size(path.stat().st_size)}. It cannot be brought back.",
             "Delete",

@@ -12,9 +12,11 @@ import viser
 
 from app.recording.format import Recording
 from app.recording.playback import Moment, Player, Transport, build_scenes
-from app.session import Refused
+from app.refused import Refused
+from app.scene.scene import Progress
+from app.scene.worker import Stop
 from app.view import camera
-from app.view.feature import Stage
+from app.view.context import PageContext
 from app.view.screen import Screen
 from app.view.units import VIEW_SCALE
 
@@ -38,14 +40,14 @@ class Replaying:
     was moved to another scene is where it was.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage, self._session = stage, stage.session
+    def __init__(self, context: PageContext) -> None:
+        self._context, self._session = context, context.session
         self.replay: Replay | None = None
         self._opened = 0
         self._drawn: Replay | None = None  # the replay that the controls are for
         self._views: dict[int, camera.View] = {}  # by client: where it looked in the session
         self._returning = False
-        gui = stage.server.gui
+        gui = context.server.gui
         with gui.add_folder("Replay", order=ORDER, visible=False) as self._folder:
             self._about = gui.add_html("")
             self._slider: Any = gui.add_slider(
@@ -82,54 +84,59 @@ class Replaying:
 
         @back.on_click
         async def _back(_event: viser.GuiEvent[Any]) -> None:
-            stage.hand.submit(self.leave)
+            context.hand.submit(self.leave)
 
-        stage.escape.offer(self.leave)
+        context.escape.offer(self.leave)
 
-    def show(self, name: str, recording: Recording) -> None:
+    def show(self, name: str, recording: Recording, progress: Progress, stop: Stop) -> None:
         """Put a recording on the screen, in the place of the session or of another one.
 
+        Args:
+            progress: called with a few words before each step.
+            stop: of the session's work that this is.
+
         Raises:
-            ValueError: it holds no tick, its mesh is not there or another one now, or the session
-                is just then busy; what is on the screen stays.
+            ValueError: it holds no tick, its mesh is not there or another one now, or it was
+                stopped; what is on the screen stays.
         """
         if not len(recording.rows):
             raise Refused("the recording holds no tick")
-        if self._stage.fixture.withdrawn:
+        if self._context.fixture.withdrawn:
             raise Refused("leave “Freeze and explore” first (tab Inspector)")
         self._opened += 1
-        built = build_scenes(recording, REPLAYED + 1000 * self._opened, like=self._session.scene)
-        replay = Replay(name, Player(recording, built), self._stage.screen)
+        version = REPLAYED + 1000 * self._opened
+        built = build_scenes(recording, version, self._session.scene, progress, stop)
+        replay = Replay(name, Player(recording, built), self._context.screen)
         replay.now()  # whatever is wrong shows here, not in the picture
         if self.replay is None:
-            self._session.suspend(SUSPENDED)
-            self._stage.hand.let_go()
+            self._session.suspend(SUSPENDED, stop)
+            self._context.hand.let_go()
             self._views = {
                 client_id: camera.View(
                     np.array(client.camera.position) / VIEW_SCALE,
                     np.array(client.camera.look_at) / VIEW_SCALE,
                 )
-                for client_id, client in self._stage.server.get_clients().items()
+                for client_id, client in self._context.server.get_clients().items()
             }
         self.replay = replay
-        self._stage.screen.instead = replay.now
+        self._context.screen.instead = replay.now
 
     def leave(self) -> bool:
         """Back to the session, if a replay is shown; says whether it was."""
         if self.replay is None:
             return False
-        shown = self._stage.screen.shown.scene
+        shown = self._context.screen.shown.scene
         self.replay = None
-        self._stage.screen.instead = None
+        self._context.screen.instead = None
         self._returning = shown.version != self._session.scene.version
         self._session.go_on()
         return True
 
     def frame(self) -> None:
         """From the view thread, once what is on the screen is drawn."""
-        if self._returning and self._stage.screen.live:
+        if self._returning and self._context.screen.live:
             self._returning = False
-            for client_id, client in self._stage.server.get_clients().items():
+            for client_id, client in self._context.server.get_clients().items():
                 if client_id in self._views:
                     camera.move(client, self._views[client_id])
 

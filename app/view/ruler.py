@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from app.scene.scene import Scene
 from app.view import palette
-from app.view.camera import DIRECTION
+from app.view.camera import DIRECTION, site_half_height
+from app.view.labels import Labels
+from app.view.part import Part
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
@@ -16,39 +18,48 @@ FloatArray = NDArray[np.float64]
 DIVISIONS = 10
 
 
-class Rulers:
+class Rulers(Part):
     """Both lie across the direction the page looks from at first."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._api = api
-        self._nodes: list[viser.SceneNodeHandle] = []
+        self._bars: list[viser.SceneNodeHandle] = []
+        self._lengths = {
+            name: labels.add(f"/ruler/{name}/label", anchor="top-center")
+            for name in ("anatomy", "site")
+        }
+        self._visible = True
 
-    def set_scene(self, scene: Scene, half_height: float) -> None:
-        """Draw the bars of a scene whose first view shows `half_height` [m] above its middle."""
+    def set_scene(self, scene: Scene) -> None:
+        """Draw the bars of a scene, as long as its first view has room for."""
+        half_height = site_half_height(scene)
         size = scene.vertices_shown
         low, high = size.min(axis=0), size.max(axis=0)
         # Under the mesh, on the side that the first view is taken from.
         toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
         across = np.array([-toward[1], toward[0], 0.0])
         foot = np.array([*(0.5 * (low + high)[:2]), low[2]]) + 0.33 * scene.surface.size * toward
-        self._nodes = self._draw(
-            "anatomy", foot, across, nice_length(0.5 * float(np.ptp(size[:, :2], axis=0).max()))
-        )
+        widest = float(np.ptp(size[:, :2], axis=0).max())
+        anatomy = self._draw("anatomy", foot, across, nice_length(0.5 * widest))
         # Left of the wrist in the first view, where a phone held upright still shows it.
         up = np.cross(across, DIRECTION)
         up = up if up[2] > 0.0 else -up
         left = np.cross(up, DIRECTION)
         site = scene.T_base_start.translation - half_height * (0.27 * left - 0.25 * up)
-        self._nodes += self._draw("site", site, left, nice_length(0.3 * half_height))
+        self._bars = [anatomy, self._draw("site", site, left, nice_length(0.3 * half_height))]
+        self.show(self._visible)
 
     def show(self, visible: bool) -> None:
         """Layer switch."""
-        for node in self._nodes:
-            node.visible = visible
+        self._visible = visible
+        for bar in self._bars:
+            bar.visible = visible
+        for length in self._lengths.values():
+            length.visible = visible
 
     def _draw(
         self, name: str, middle: FloatArray, across: FloatArray, length: float
-    ) -> list[viser.SceneNodeHandle]:
+    ) -> viser.SceneNodeHandle:
         up = np.array([0.0, 0.0, 0.03 * length])
         along = np.linspace(-0.5, 0.5, DIVISIONS + 1)[:, None] * length * across + middle
         heights = np.where(np.arange(DIVISIONS + 1) % 5 == 0, 2.0, 1.0)[:, None] * up
@@ -60,14 +71,9 @@ class Rulers:
             thickness=2.0,
             thickness_units="screen",
         )
-        label = self._api.add_label(
-            f"/ruler/{name}/label",
-            f"{length * 1e3:g} mm",
-            position=to_view(middle - up),
-            anchor="top-center",
-            font_screen_scale=0.8,
-        )
-        return [bar, label]
+        label = self._lengths[name]
+        label.text, label.position = f"{length * 1e3:g} mm", to_view(middle - up)
+        return bar
 
 
 def nice_length(most: float) -> float:

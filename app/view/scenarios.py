@@ -6,7 +6,6 @@ import html
 import itertools
 import shutil
 import tempfile
-import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,14 @@ import numpy as np
 import viser
 
 import meshes
-from app.control.messages import Telemetry
+from app.recording.playback import Moment
 from app.scenarios.file import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import present, stage
 from app.scene.scene import Scene
 from app.view import camera, palette
-from app.view.feature import Stage
+from app.view.context import PageContext
+from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
 from app.view.uploads import Receiver
 from app.words import OptionError, format_length
@@ -32,26 +32,26 @@ FILE_NAME = "scenario.json"
 _STYLE = "margin:0 .75em .3em;font-size:12px;line-height:1.35;height:5.4em;overflow-y:auto"
 
 
-class ScenarioChoice:
+class ScenarioChoice(Part):
     """A list, a sentence, and two buttons.
 
     Building a scene takes its time: in a thread of viser's pool, one at a time. The old scene stays
     if that fails. A scenario's camera is for all who look, and for those who come later.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._session, self._server = stage.session, stage.server
-        self._hand, self._tell, self._look = stage.hand, stage.tell, stage.look
-        self._following, self._screen, self._library = stage.following, stage.screen, stage.library
-        self._busy = threading.Lock()
+    def __init__(self, context: PageContext) -> None:
+        self._session, self._server = context.session, context.server
+        self._hand, self._tell, self._cameras = context.hand, context.tell, context.cameras
+        self._screen, self._library = context.screen, context.library
+        self._loading = False  # the sentence tells how far it is
         self._scenarios = dict(PRESETS)
-        begun = stage.scenario
+        begun = context.scenario
         if begun is not None:
             self._scenarios[begun.name] = begun
         # The scenario that was loaded last, and the version of its scene.
         self._shown = None if begun is None else (begun, self._session.scene.version)
         self._arriving = False  # its scene is going to be drawn for the first time
-        gui, names = stage.server.gui, tuple(self._scenarios)
+        gui, names = context.server.gui, tuple(self._scenarios)
         with gui.add_folder("Scenario", order=ORDER):
             self._choice: Any = gui.add_dropdown(
                 "Show", names, initial_value=names[0] if begun is None else begun.name
@@ -74,7 +74,7 @@ class ScenarioChoice:
 
         @self._choice.on_update
         async def _chosen(_event: viser.GuiEvent[Any]) -> None:
-            if not self._busy.locked():
+            if not self._loading:
                 self._tell_about()
 
         # A plain function: viser runs it in its pool, where building may take its time.
@@ -85,7 +85,7 @@ class ScenarioChoice:
                 if order is not None:
                     order(event.client)
 
-        stage.uploads.take(
+        context.uploads.take(
             self._open,
             Receiver(
                 ("json",),
@@ -97,23 +97,23 @@ class ScenarioChoice:
             ),
         )
 
-        @stage.server.on_client_connect
+        @context.server.on_client_connect
         async def _came(client: viser.ClientHandle) -> None:
             self._hand.submit(self._show_to, client)
 
     def set_scene(self, scene: Scene) -> None:
         """Another mesh or arm: what was loaded is there no longer."""
-        if not self._busy.locked():
+        if not self._loading:
             self._tell_about()
 
-    def frame(self, telemetry: Telemetry) -> None:
+    def frame(self, shown: Moment, clients: Clients) -> None:
         """A scenario's scene is drawn: look at it as the scenario says."""
-        if self._arriving and self._shown is not None and telemetry.scene == self._shown[1]:
+        if self._arriving and self._shown is not None and shown.scene.version == self._shown[1]:
             self._arriving = False
-            for client in self._server.get_clients().values():
+            for client in clients.values():
                 self._show_to(client)
 
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         """While a replay is shown no scenario is begun."""
         live = self._screen.live
         self._choice.disabled = self._open.disabled = not live
@@ -127,10 +127,10 @@ class ScenarioChoice:
             eye, look_at = meshes.transformed(
                 self._session.scene.T_base_mesh, [look.eye, look.look_at]
             )
-            self._following.stop(client.client_id)
+            self._cameras.following.stop(client.client_id)
             camera.move(client, camera.View(eye, look_at))
         elif look is not None:
-            self._look(client, look.capitalize())
+            self._cameras.look(client, look.capitalize())
 
     def _load(self, client: viser.ClientHandle) -> None:
         scenario = self._scenarios.get(str(self._choice.value))
@@ -156,18 +156,18 @@ class ScenarioChoice:
         self._begin(client, self._scenarios[name])
 
     def _begin(self, client: viser.ClientHandle, scenario: Scenario) -> None:
-        if not self._busy.acquire(blocking=False):
-            self._tell(client, "Another scenario is being loaded: wait until it is there.")
-            return
         try:
-            stage(scenario, self._session, self._progress)
-            self._shown, self._arriving = (scenario, self._session.scene.version), True
+            with self._session.work.begin() as stop:
+                self._loading = True
+                try:
+                    stage(scenario, self._session, self._progress, stop)
+                    self._shown, self._arriving = (scenario, self._session.scene.version), True
+                finally:
+                    self._loading = False
+                    self._tell_about()
         except Exception as error:
             # Whatever a reader of a mesh file may raise, the page and the old scene go on.
             self._tell(client, f"Not loaded: {error}")
-        finally:
-            self._busy.release()
-            self._tell_about()
 
     def _save(self, client: viser.ClientHandle) -> None:
         options, mesh = self._session.options, self._session.scene.mesh_name
@@ -190,7 +190,7 @@ class ScenarioChoice:
 
     def _seen_by(self, client: viser.ClientHandle) -> Viewpoint | str:
         """How a client looks at the scene."""
-        if client.client_id in self._following.clients:
+        if client.client_id in self._cameras.following.clients:
             return "follow"
         T_base_mesh = self._session.scene.T_base_mesh
         places = np.array([client.camera.position, client.camera.look_at]) / VIEW_SCALE

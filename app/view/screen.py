@@ -37,5 +37,15 @@ class Screen:
             session = self._session
             # Telemetry first: what it refers to is in force by then, or will be.
             telemetry = session.latest()
-            self.shown = Moment(session.scene, session.options, telemetry, session.clutched)
+            scene, master, crossing = session.scene, session.master, session.crossing
+            by_script = telemetry.autopilot and telemetry.target is not None
+            self.shown = Moment(
+                scene,
+                session.options,
+                telemetry,
+                master.clutched,
+                master.force,
+                telemetry.target if by_script else master.handle,
+                crossing if crossing is not None and crossing.scene == scene.version else None,
+            )
         return self.shown

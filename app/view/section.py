@@ -10,8 +10,10 @@ import viser
 from numpy.typing import NDArray
 from trimesh import intersections
 
+from app.recording.playback import Moment
 from app.scene.scene import Scene
 from app.view.anatomy import Anatomy
+from app.view.part import Clients, Part
 from app.view.units import to_view
 from app.view.worker import Worker
 
@@ -41,7 +43,7 @@ class Cut:
 
 
 @dataclass(frozen=True)
-class Part:
+class Remainder:
     """What a cut leaves of what is drawn: vertices (n, 3) [m], faces (m, 3)."""
 
     cut: Cut
@@ -49,7 +51,7 @@ class Part:
     faces: NDArray[np.int64]
 
 
-class Section:
+class Section(Part):
     """Cuts for one client's eye, on a thread of its own; everybody sees them.
 
     `toggle` comes from the hand's worker and changes one attribute; the rest is the view thread's.
@@ -57,11 +59,11 @@ class Section:
 
     def __init__(self, anatomy: Anatomy) -> None:
         self._anatomy = anatomy
-        self._worker: Worker[Cut, Part] = Worker("section", make)
+        self._worker: Worker[Cut, Remainder] = Worker("section", make)
         self._client_id: int | None = None  # whose eye it is; None: there is no section
         self._asked: Cut | None = None
         self._when = 0.0  # monotonic time of the last question [s]
-        self._drawn: Part | None = None
+        self._drawn: Remainder | None = None
 
     @property
     def on(self) -> bool:
@@ -71,6 +73,10 @@ class Section:
     def toggle(self, client: viser.ClientHandle) -> None:
         """Cut the anatomy for this client's eye; or, cut already, make it whole."""
         self._client_id = None if self.on else client.client_id
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Keep the cut at the tip."""
+        self.update(shown.scene, clients, np.array(shown.tip.translation))
 
     def update(
         self, scene: Scene, clients: dict[int, viser.ClientHandle], p_tip: FloatArray
@@ -100,10 +106,10 @@ class Section:
             self._anatomy.cut((part.vertices, part.faces))
 
 
-def make(cut: Cut) -> Part:
+def make(cut: Cut) -> Remainder:
     """The part of what is drawn of a scene that lies behind a plane."""
     vertices, faces = cut.scene.vertices_shown, cut.scene.faces_shown
     kept, corners, _ = intersections.slice_faces_plane(vertices, faces, -cut.normal, cut.point)
     if len(corners) == 0:  # a node of the scene has a triangle at least
         kept, corners = np.tile(cut.point, (3, 1)), np.array([[0, 1, 2]])
-    return Part(cut, np.asarray(kept, dtype=np.float64), np.asarray(corners, dtype=np.int64))
+    return Remainder(cut, np.asarray(kept, dtype=np.float64), np.asarray(corners, dtype=np.int64))

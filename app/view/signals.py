@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 import vf
 from app.control.messages import Telemetry
+from app.recording.playback import Moment
 from app.scene.scene import Scene
 from app.view import palette, trail
+from app.view.context import PageContext
 from app.view.depth import signed_distance
-from app.view.feature import Stage
+from app.view.part import Clients, Part
 
 FloatArray = NDArray[np.float64]
 
@@ -120,22 +122,22 @@ class History:
         return times[recent], self._values[: self._count][recent]
 
 
-class Signals:
+class Signals(Part):
     """The tab. While nobody watches it computes nothing; switched off, it sends nothing."""
 
-    def __init__(self, stage: Stage) -> None:
-        gui = stage.server.gui
-        self._screen = stage.screen
+    def __init__(self, context: PageContext) -> None:
+        gui = context.server.gui
+        self._screen = context.screen
         self._history = History()
-        self._trail = trail.Trail(stage.server.scene)
+        self._trail = trail.Trail(context.server.scene)
         self._cleared = False
         self._due = True  # draw at once, whatever the pace
-        self._scene: Scene = stage.session.scene
+        self._scene: Scene = context.session.scene
         self._session: tuple[History, trail.Path, Scene] | None = None  # waits for a replay's end
         self._sampled = -math.inf  # simulated time of the newest sample [s]
         self._drawn = 0.0  # when the plots were last sent [s]
         self._marked = 0.0  # of the newest point of the trail [s]
-        with stage.left.add_tab("Signals"):
+        with context.left.add_tab("Signals"):
             self._on = gui.add_checkbox(
                 "Plot", True, hint="Off, the plots stand still; what they miss is kept for later."
             )
@@ -165,8 +167,9 @@ class Signals:
         self._scene = scene
         self._forget()
 
-    def frame(self, telemetry: Telemetry) -> None:
+    def frame(self, shown: Moment, clients: Clients) -> None:
         """Sample and draw, each at its own pace."""
+        telemetry = shown.telemetry
         self._change_sides()
         if self._cleared:
             self._cleared = False
@@ -177,7 +180,7 @@ class Signals:
             self._history.clear()
             self._trail.path.lift()
             self._again()
-        self._mark(telemetry)
+        self._mark(telemetry, shown.options.rule)
         if not 0.0 <= telemetry.time - self._sampled < PERIOD:
             self._sampled = telemetry.time
             values = sample(telemetry, self._scene.surface)
@@ -188,9 +191,6 @@ class Signals:
             self._due = False
             self._drawn = telemetry.time
             self._draw()
-
-    def read_out(self, telemetry: Telemetry) -> None:
-        """Nothing here goes at that pace."""
 
     def _change_sides(self) -> None:
         """A replay has a past of its own; the session's is there again when it is left."""
@@ -210,8 +210,8 @@ class Signals:
         self._sampled = self._drawn = self._marked = -math.inf
         self._due = True
 
-    def _mark(self, telemetry: Telemetry) -> None:
-        mode, rule = self._mode.value, self._screen.shown.options.rule
+    def _mark(self, telemetry: Telemetry, rule: str) -> None:
+        mode = self._mode.value
         if mode == NEVER or (mode == WHEN_OFF and rule != "off"):
             self._trail.path.lift()
             return

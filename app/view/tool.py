@@ -6,8 +6,11 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from app.recording.playback import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
+from app.view.labels import Labels
+from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
 FORCE_LENGTH = 0.005  # arrow length for each newton [m]: 3 N stay below the scale bar
@@ -17,10 +20,10 @@ LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
 ASIDE = 0.0065
 
 
-class Tool:
+class Tool(Part):
     """A dot at the tip (the tip's ball if it has a radius), and the force arrow."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._dot = api.add_point_cloud(
             "/tool/dot",
             points=np.zeros((1, 3), dtype=np.float32),
@@ -40,14 +43,16 @@ class Tool:
             head_length=0.25,
             visible=False,
         )
-        self._label = api.add_label(
-            "/tool/force_label", "", anchor="bottom-right", font_screen_scale=0.8, visible=False
-        )
+        self._label = labels.add("/tool/force_label", anchor="bottom-right")
         self._show_force = True
 
     def show_force(self, visible: bool) -> None:
         """Layer switch of the force arrow."""
         self._show_force = visible
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Put the tip and the force where they are."""
+        self.update(shown.tip.translation, shown.options.tip_radius, shown.force)
 
     def update(
         self, p_tip: NDArray[np.float64], tip_radius: float, force: NDArray[np.float64]

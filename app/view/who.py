@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 
 import viser
 
+from app.recording.playback import Moment
 from app.view import palette
+from app.view.part import Clients, Part
 
 # Told apart by people with any colour blindness; the number says the same.
 COLORS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.SKY, palette.BLACK)
@@ -48,12 +51,12 @@ def _badge(client_id: int) -> str:
     return f"<b style='color:{palette.css(color(client_id))}'>■</b> <b>{name(client_id)}</b>"
 
 
-class Who:
+class Who(Part):
     """A line of its own on each client's panel. Called from the view thread only."""
 
-    def __init__(self, server: viser.ViserServer, order: float) -> None:
-        """`order`: where in the panel the line stands."""
-        self._server = server
+    def __init__(self, owner: Callable[[], int | None], order: float) -> None:
+        """`owner`: who drags the proxy; `order`: where in the panel the line stands."""
+        self._owner = owner
         self._order = order
         self._lines: dict[int, viser.GuiHtmlHandle] = {}
 
@@ -62,18 +65,18 @@ class Who:
         shown = self._lines.get(client_id)
         return "" if shown is None else str(shown.content)
 
-    def update(self, owner: int | None) -> None:
+    def frame(self, shown: Moment, clients: Clients) -> None:
         """Bring every client's line up to date; writes only what changed."""
-        clients = self._server.get_clients()
+        owner = self._owner()
         for gone in self._lines.keys() - clients.keys():
             del self._lines[gone]
         for client_id, client in clients.items():
             text = line(client_id, owner, len(clients))
-            shown = self._lines.get(client_id)
+            told = self._lines.get(client_id)
             # A client may vanish at any moment; it is gone from the list the next time.
             with contextlib.suppress(Exception):
-                if shown is None:
+                if told is None:
                     if text:
                         self._lines[client_id] = client.gui.add_html(text, order=self._order)
-                elif shown.content != text:
-                    shown.content = text
+                elif told.content != text:
+                    told.content = text

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,6 +19,7 @@ from app import choices
 from app.__main__ import main
 from app.commands import COMMANDS
 from app.serving import bind_problem
+from tests.support.commands import page_of_command
 
 ROOT = Path(__file__).parents[2]
 
@@ -138,9 +138,7 @@ def test_an_address_that_is_not_ours_is_told_and_does_not_hang(host: str) -> Non
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_page_comes_up_says_where_and_closes_on_interrupt(
-    number: signal.Signals, page_of_command: Callable[..., str]
-) -> None:
+def test_the_page_comes_up_says_where_and_closes_on_interrupt(number: signal.Signals) -> None:
     told = page_of_command("--mesh", "cube", "--robot", "point", "--port", "0", end=number)
     assert "loading the mesh cube" in told
     assert "preparing the kernels" in told
@@ -329,7 +327,7 @@ LONG: list[list[str]] = [
 @pytest.mark.parametrize("words", LONG, ids=lambda words: " ".join(words[:2]))
 @pytest.mark.parametrize(
     "delay",
-    [pytest.param(d, marks=pytest.mark.slow) for d in (0.2, 1.5, 6.0)],
+    [pytest.param(d, marks=pytest.mark.slow) for d in (0.2, 0.7, 1.5, 2.5, 4.0, 6.0)],
 )
 def test_an_interrupt_at_any_moment_ends_any_command(
     words: list[str], delay: float, tmp_path: Path

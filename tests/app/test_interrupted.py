@@ -23,6 +23,7 @@ from app.settings import Options
 from app.studies import batch as study
 from app.studies.experiments import calibration, protocol
 from app.studies.verification import campaign
+from tests.support.headless import wait_until
 
 ROOT = Path(__file__).parents[2]
 SHORT = ["--rate", "50", "--length", "2mm"]
@@ -101,7 +102,6 @@ def test_a_replay_tells_how_far_it_is_the_same(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-    wait_until: Callable[[Callable[[], bool]], None],
 ) -> None:
     path = tmp_path / "some.vfrec"
     with Session(Options(mesh="cube", robot="point", rate=500.0)) as session:
@@ -174,16 +174,18 @@ import app.cli
 def run(words):
     sys.path.insert(0, sys.argv[1])
     import halfway
-    assert halfway.whole
+    print(halfway.whole, flush=True)
     while True: signal.pause()
 app.cli.run = run
 sys.exit(main([]))
 """
 
 
-@pytest.mark.parametrize("code", [HIDES, IMPORTS], ids=["in a destructor", "in an import"])
+@pytest.mark.parametrize(
+    ("code", "told"), [(HIDES, ""), (IMPORTS, "True\n")], ids=["in a destructor", "in an import"]
+)
 def test_an_interrupt_is_neither_lost_nor_in_the_middle_of_an_import(
-    code: str, tmp_path: Path
+    code: str, told: str, tmp_path: Path
 ) -> None:
     (tmp_path / "halfway.py").write_text(
         "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
@@ -195,7 +197,152 @@ def test_an_interrupt_is_neither_lost_nor_in_the_middle_of_an_import(
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     assert done.returncode == 130, done.stderr
+    assert done.stdout == told
     assert "Traceback" not in done.stderr
+
+
+KERNEL = """
+from vf.kernels import njit
+
+@njit(cache=True)
+def largest(values):
+    best = values[0]
+    for value in values:
+        if not value > 0.0:
+            raise ValueError("must be positive")
+        best = max(best, value)
+    return best
+"""
+LOADS = """
+import importlib, os, signal, sys
+import numpy as np
+from app import interrupts
+from app.__main__ import main
+import app.cli
+import llvmlite.binding.ffi as ffi
+import numba.core.caching as files
+
+interrupts.AGAIN = 1e6  # the alarm is rung below
+calls = 0
+
+def interrupt(frame, event, _):
+    global calls
+    if event != "return":
+        return
+    call = frame.f_code is ffi._lib_fn_wrapper.__call__.__code__
+    if call or frame.f_code.co_filename == files.__file__:
+        calls += call
+        os.kill(os.getpid(), signal.SIGINT)
+
+def run(words):
+    sys.path.insert(0, sys.argv[1])
+    import kernel
+    for loaded in (0, 1):
+        before = calls
+        kernel = importlib.reload(kernel)
+        sys.setprofile(interrupt)
+        assert kernel.largest(np.array([1.0, 3.0, 2.0])) == 3.0
+        sys.setprofile(None)
+        assert calls > before
+        assert sum(kernel.largest.stats.cache_hits.values()) == loaded
+    print("whole", flush=True)
+    signal.raise_signal(signal.SIGALRM)
+    while True: signal.pause()
+
+app.cli.run = run
+sys.exit(main([]))
+"""
+
+
+def test_no_interrupt_comes_between_the_compiler_and_what_it_owns(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(KERNEL)
+    # After every call into LLVM and every step with a file, while a kernel is compiled and while
+    # it is read.
+    done = subprocess.run(
+        [sys.executable, "-c", LOADS, str(tmp_path)],
+        capture_output=True, text=True, timeout=60, cwd=ROOT,
+        env={key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert done.stdout == "whole\n", done.stderr
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == ""
+
+
+LOCKED = """
+import os, signal, sys, threading
+from app import interrupts
+from app.__main__ import main
+import app.cli
+from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
+
+interrupts.AGAIN = 1e6
+name = sys.argv[1]
+
+def interrupt(frame, event, _):
+    if event == "return" and frame.f_code is getattr(_CompilerLock, name).__code__:
+        sys.setprofile(None)
+        os.kill(os.getpid(), signal.SIGINT)
+
+def run(words):
+    sys.setprofile(interrupt)
+    with global_compiler_lock:
+        pass
+    assert sys.getprofile() is None
+    def take():
+        with global_compiler_lock:
+            print("free", flush=True)
+    other = threading.Thread(target=take, daemon=True)
+    other.start()
+    other.join(10.0)
+    signal.raise_signal(signal.SIGALRM)
+    while True: signal.pause()
+
+app.cli.run = run
+sys.exit(main([]))
+"""
+
+
+@pytest.mark.parametrize("name", ["acquire", "release"])
+def test_an_interrupt_leaves_the_compiler_to_other_threads(name: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOCKED, name],
+        capture_output=True, text=True, timeout=60, cwd=ROOT,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert done.stdout == "free\n", done.stderr
+    assert done.returncode == 130, done.stderr
+
+
+CLUSTER = """
+import asyncio, os, signal, sys
+from distributed.nanny import Nanny
+from app.__main__ import main
+
+begin = Nanny.start_unsafe
+
+async def interrupted(self):
+    os.kill(os.getpid(), signal.SIGINT)
+    await asyncio.sleep(1.0)
+    return await begin(self)
+
+Nanny.start_unsafe = interrupted
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+def test_an_interrupt_while_workers_begin_leaves_none(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    done = subprocess.run(
+        [sys.executable, "-c", CLUSTER, "study", "--operators", "1", "--meshes", "skull-coarse",
+         *SHORT, "--workers", "1", "--out", str(tmp_path)],
+        capture_output=True, text=True, timeout=120, cwd=ROOT,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "interrupted: 0 of 2 trials done and kept" in done.stderr.splitlines()[-1]
 
 
 def test_what_a_dead_cluster_leaves_is_told(

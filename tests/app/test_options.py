@@ -37,7 +37,8 @@ from pathlib import Path
 from app import cli
 from app.recording.read import read
 from app.scenarios.file import Scenario, dumps, loads
-from app.session import Refused, Session
+from app.refused import Refused
+from app.session import Session
 
 told = io.StringIO()
 with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):

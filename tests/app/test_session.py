@@ -12,13 +12,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from everyday import everyday
 
 import meshes
 import robots
-from app.session import FARTHEST, Refused, Session
+from app.devices.page import FARTHEST_PROXY
+from app.refused import Refused
+from app.session import Session
 from app.settings import Options
 from app.words import OptionError
+from tests.support.brute import Oracle
+from tests.support.everyday import everyday
+from tests.support.headless import moved, wait_until
 
 Wait = Callable[[Callable[[], bool]], None]
 Moved = Callable[..., pin.SE3]
@@ -51,12 +55,7 @@ def rests_at(session: Session, point: np.ndarray, within: float = 1e-6) -> Calla
 @pytest.mark.parametrize("robot", ["point", "psm"])
 @pytest.mark.parametrize("mesh", everyday(CATALOGUE, "skull", "thin-plate", "gear"))
 def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
-    mesh: str,
-    robot: str,
-    oracle: type[Any],
-    tapes: list[Any],
-    wait_until: Wait,
-    moved: Moved,
+    mesh: str, robot: str, tapes: list[Any]
 ) -> None:
     with Session(Options(mesh=mesh, robot=robot)) as session:
         surface, start = session.scene.surface, session.scene.T_base_start
@@ -71,7 +70,7 @@ def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
         session.drive(inside)
         first = session.latest().tick
         wait_until(lambda: session.latest().tick > first + 600)
-    truth = oracle(surface.vertices, surface.faces)
+    truth = Oracle(surface.vertices, surface.faces)
     path = np.array([start.translation] + [t.step.tip.translation for t in tapes[1].items[1:]])
     assert truth.crossings(path) == 0
     for point in path[:: len(path) // 3]:
@@ -82,9 +81,7 @@ def test_the_tool_follows_when_free_and_stays_out_of_every_mesh(
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2e-3
 
 
-def test_the_proxy_may_be_anything_sensible_and_nothing_else(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_proxy_may_be_anything_sensible_and_nothing_else(session: Session) -> None:
     good = moved(session.scene.T_base_start, dx=0.004)
     session.drive(good)
     wait_until(lambda: session.latest().step is not None)
@@ -100,7 +97,7 @@ def test_the_proxy_may_be_anything_sensible_and_nothing_else(
         ],
         "not a rotation": [pin.SE3(1.1 * R, p), pin.SE3(mirrored, p), pin.SE3(0.0 * R, p)],
         "at most 2 m": [
-            pin.SE3(R, np.array([0.0, 0.0, FARTHEST + 0.01])),
+            pin.SE3(R, np.array([0.0, 0.0, FARTHEST_PROXY + 0.01])),
             pin.SE3(R, np.array([1e300, 0.0, 0.0])),
         ],
     }
@@ -120,7 +117,7 @@ def test_the_proxy_may_be_anything_sensible_and_nothing_else(
     wait_until(rests_at(session, again.translation))
 
 
-def test_the_caller_may_go_on_using_its_pose(session: Session, wait_until: Wait) -> None:
+def test_the_caller_may_go_on_using_its_pose(session: Session) -> None:
     pose = pin.SE3(session.scene.T_base_start)
     session.drive(pose)
     pose.translation = np.array([0.0, 0.0, 1.0])
@@ -128,7 +125,7 @@ def test_the_caller_may_go_on_using_its_pose(session: Session, wait_until: Wait)
     assert session.latest().target.isApprox(session.scene.T_base_start, 1e-12)
 
 
-def test_pause_single_step_and_resume(session: Session, wait_until: Wait, moved: Moved) -> None:
+def test_pause_single_step_and_resume(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dx=0.25))
     session.pause()
     wait_until(lambda: session.latest().paused)
@@ -151,9 +148,7 @@ def test_pause_single_step_and_resume(session: Session, wait_until: Wait, moved:
     assert session.latest().tick <= tick + 1
 
 
-def test_reset_brings_tool_handle_and_proxy_home(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_reset_brings_tool_handle_and_proxy_home(session: Session) -> None:
     goal = moved(session.scene.T_base_start, dx=0.02)
     session.drive(goal)
     wait_until(lambda: session.latest().step is not None)
@@ -166,9 +161,7 @@ def test_reset_brings_tool_handle_and_proxy_home(
     np.testing.assert_array_equal(session.latest().q, session.scene.start)
 
 
-def test_recall_puts_handle_and_proxy_onto_the_tool(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_recall_puts_handle_and_proxy_onto_the_tool(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -186,7 +179,7 @@ def test_recall_puts_handle_and_proxy_onto_the_tool(
 
 
 def test_a_scaled_handle_moves_the_proxy_less_and_a_new_scale_does_not_jump(
-    session: Session, wait_until: Wait, moved: Moved
+    session: Session,
 ) -> None:
     start = session.scene.T_base_start
     assert session.set(scale=0.2).scale == 0.2
@@ -209,9 +202,7 @@ def test_a_scaled_handle_moves_the_proxy_less_and_a_new_scale_does_not_jump(
     )
 
 
-def test_the_clutch_frees_the_handle_and_latches_anew_on_release(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_clutch_frees_the_handle_and_latches_anew_on_release(session: Session) -> None:
     start = session.scene.T_base_start
     goal = moved(start, dx=0.01)
     session.drive(goal)
@@ -236,7 +227,7 @@ def test_the_clutch_frees_the_handle_and_latches_anew_on_release(
     wait_until(rests_at(session, held + np.array([0.0, 0.0, 0.005])))
 
 
-def test_a_drag_that_goes_silent_holds_the_tool(wait_until: Wait, moved: Moved) -> None:
+def test_a_drag_that_goes_silent_holds_the_tool() -> None:
     options = Options(mesh="cube", robot="point", stale_after=0.1)
     with Session(options) as session:
         far = moved(session.scene.T_base_start, dz=0.25)
@@ -251,9 +242,7 @@ def test_a_drag_that_goes_silent_holds_the_tool(wait_until: Wait, moved: Moved) 
         assert not session.latest().stale
 
 
-def test_settings_change_while_running_and_are_clamped(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_settings_change_while_running_and_are_clamped(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -282,7 +271,7 @@ def test_settings_change_while_running_and_are_clamped(
     )  # fmt: skip
 
 
-def test_the_rule_changes_while_running(session: Session, wait_until: Wait, moved: Moved) -> None:
+def test_the_rule_changes_while_running(session: Session) -> None:
     below = moved(session.scene.T_base_start, dz=-0.03)
     top = session.scene.surface.vertices[:, 2].max()
     session.drive(below)
@@ -300,9 +289,7 @@ def test_the_rule_changes_while_running(session: Session, wait_until: Wait, move
     wait_until(rests_at(session, below.translation))
 
 
-def test_mesh_and_robot_change_while_running(
-    session: Session, wait_until: Wait, moved: Moved, oracle: type[Any]
-) -> None:
+def test_mesh_and_robot_change_while_running(session: Session) -> None:
     session.drive(moved(session.scene.T_base_start, dz=-0.03))
     wait_until(lambda: session.latest().step is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -317,7 +304,7 @@ def test_mesh_and_robot_change_while_running(
         assert (session.options.mesh, session.options.robot) == (new.mesh_name, new.robot)
         # The handle is on the tool, the tool is free and at rest.
         np.testing.assert_allclose(session.handle.translation, tool(session), atol=1e-9)
-        truth = oracle(new.surface.vertices, new.surface.faces)
+        truth = Oracle(new.surface.vertices, new.surface.faces)
         assert abs(truth.winding(tool(session))) < 0.5
         assert session.latest().target is None
         goal = moved(session.handle, dx=0.002, dz=0.002)
@@ -328,9 +315,7 @@ def test_mesh_and_robot_change_while_running(
     assert any("panda" in word for word in words)
 
 
-def test_a_change_that_fails_keeps_what_was_there(
-    session: Session, wait_until: Wait, moved: Moved, tmp_path: Path
-) -> None:
+def test_a_change_that_fails_keeps_what_was_there(session: Session, tmp_path: Path) -> None:
     goal = moved(session.scene.T_base_start, dx=0.003)
     session.drive(goal)
     wait_until(lambda: session.latest().step is not None)
@@ -353,7 +338,7 @@ def test_a_change_that_fails_keeps_what_was_there(
 
 
 def test_a_file_in_millimetres_keeps_the_tool_at_its_surface(
-    tmp_path: Path, session: Session, wait_until: Wait, moved: Moved
+    tmp_path: Path, session: Session
 ) -> None:
     path = tmp_path / "block.stl"
     trimesh.creation.box((40.0, 40.0, 20.0)).export(path)
@@ -384,19 +369,21 @@ def test_one_change_at_a_time(session: Session) -> None:
     slow = threading.Thread(target=session.change, kwargs={"mesh": "torus", "progress": dawdle})
     slow.start()
     assert entered.wait(20.0)
+    assert session.work.going
     with pytest.raises(Refused, match="another change is under way"):
         session.change(mesh="cone")
+    with pytest.raises(Refused, match="another change is under way"), session.work.begin():
+        pass
     # The old scene can still be driven and set while the new one is being built.
     session.set(rule="paper")
     go_on.set()
     slow.join()
+    assert not session.work.going
     assert session.options.mesh == "torus"
     assert session.options.rule == "paper"
 
 
-def test_the_autopilot_drives_until_a_hand_takes_over(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_autopilot_drives_until_a_hand_takes_over(session: Session) -> None:
     session.set_autopilot(True)
     wait_until(lambda: session.latest().autopilot and session.latest().target is not None)
     wait_until(lambda: session.latest().step.distance < 1e-4)
@@ -411,9 +398,7 @@ def test_the_autopilot_drives_until_a_hand_takes_over(
     wait_until(rests_at(session, goal.translation))
 
 
-def test_a_locked_orientation_holds_and_its_release_does_not_jump(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_a_locked_orientation_holds_and_its_release_does_not_jump(session: Session) -> None:
     start = session.scene.T_base_start
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
     session.drive(pin.SE3(turn @ start.rotation, start.translation))
@@ -435,9 +420,7 @@ def test_a_locked_orientation_holds_and_its_release_does_not_jump(
     )
 
 
-def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
-    session: Session, wait_until: Wait
-) -> None:
+def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(session: Session) -> None:
     start = np.array(session.handle.translation)
     session.set(scale=0.5)
     session.nudge([1e-3, 0.0, 0.0])
@@ -454,9 +437,7 @@ def test_a_nudge_moves_the_handle_by_so_much_and_bad_ones_are_refused(
     wait_until(lambda: not session.latest().autopilot)
 
 
-def test_the_tip_speed_limit_is_clamped_and_holds_between_any_two_ticks(
-    session: Session, wait_until: Wait, moved: Moved
-) -> None:
+def test_the_tip_speed_limit_is_clamped_and_holds_between_any_two_ticks(session: Session) -> None:
     assert session.set(tip_speed=99.0).tip_speed == 2.0
     assert session.set(tip_speed=-1.0).tip_speed == 1e-3
     assert session.set(tip_speed=0.02).tip_speed == 0.02
@@ -503,7 +484,7 @@ def test_unknown_names_list_the_valid_ones() -> None:
 
 @pytest.mark.parametrize("ran", [True, False])
 def test_a_suspended_session_takes_no_order_and_goes_on_as_it_was(
-    session: Session, wait_until: Wait, moved: Moved, tmp_path: Path, ran: bool
+    session: Session, tmp_path: Path, ran: bool
 ) -> None:
     start = session.scene.T_base_start
     session.drive(moved(start, dx=0.002, dz=-0.001), held=True)
@@ -574,3 +555,14 @@ def test_no_session_is_suspended_while_another_mesh_is_on_its_way(session: Sessi
     session.change(mesh="stairs", progress=suspend)
     assert set(asked) == {"another change is under way: wait until it is done"}
     assert not session.suspended
+
+
+def test_parts_of_one_work_are_not_in_each_others_way(session: Session) -> None:
+    with session.work.begin() as stop:
+        session.change(mesh="stairs", stop=stop)
+        with pytest.raises(Refused, match="another change is under way"):
+            session.change(mesh="cone")
+        session.suspend("a replay is shown", stop)
+    assert session.suspended
+    session.go_on()
+    assert session.change(mesh="cone").mesh_name == "cone"

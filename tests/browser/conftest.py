@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from watching import Visitor, settle
 
 from app.bench.tools import watcher
 from app.session import Session
 from app.settings import Options
 from app.view import Page
+from tests.support.watching import Visitor, settle
 
 # The page draws as often as the browser lets it, and a software renderer fills a core with that.
 # Ten pictures a second are enough to see what happens, and leave the core to the sandbox.

@@ -1,10 +1,10 @@
 """Takes the pictures of README and guide from the running page.
 
-    python tests/browser/take_pictures.py docs [NAME ...]
+    python -m tests.browser.take_pictures docs [NAME ...]
 
 Each picture is what a user sees who does what the function of that name does. When all are taken,
-what page they are of is noted beside them (`pictured.py`), and tests/test_docs.py fails when the
-page is another one.
+what page they are of is noted beside them (tests/support/pictured.py), and tests/test_docs.py fails
+when the page is another one.
 """
 
 from __future__ import annotations
@@ -18,10 +18,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from pictured import write_record
 from PIL import Image
 from playwright.sync_api import sync_playwright
-from watching import Visitor, settle, wait_until
 
 import meshes
 from app.bench.tools.watcher import ARGUMENTS, chromium
@@ -29,6 +27,8 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page, camera
 from meshes.builtin.damage import damage
+from tests.support.pictured import write_record
+from tests.support.watching import Visitor, settle, wait_until
 
 PUSH = np.array([0.012, 0.022, -0.0265])  # from the start into the bone [m]
 DRAWN = 4000  # what a software renderer may take for the last picture [ms]

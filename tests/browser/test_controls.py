@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from watching import Visitor, wait_until
 
 from app.session import Session
 from app.view import Page, camera
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 

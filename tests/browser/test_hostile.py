@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 import pytest
 import viser
-from watching import wait_until
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -20,6 +19,7 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page, recorder, who
 from app.view.units import VIEW_SCALE
+from tests.support.watching import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
     gizmo(attacker, "Update", wxyz.tolist(), aside.tolist())
     wait_until(lambda: np.allclose(VIEW_SCALE * session.handle.translation, aside), "the drag")
     options, scene, handle = session.options, session.scene, session.handle
-    wait_until(lambda: not session._changing.locked(), "what was begun before to end")
+    wait_until(lambda: not session.work.going, "what was begun before to end")
     use("Replay", True)
     wait_until(lambda: session.suspended, "the replay")
     wait_until(lambda: not page.dragging, "the hand to be empty")

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from watching import Visitor, wait_until
 
 from app.session import Session
 from app.view import Page, camera
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from watching import Visitor, wait_until
 
 import meshes
 from app.session import Session
 from app.settings import Options
 from app.view import Page, health
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -89,8 +89,10 @@ def test_a_scan_with_flipped_faces_and_holes_is_taken_examined_and_shown_where_i
     visitor.tab.get_by_text("This PLY file does not say its unit").wait_for()
     visitor.picture("mesh-unit-asked")
     across = float(np.linalg.norm(np.ptp(trimesh.load(path, process=False).vertices, axis=0)))
+    in_mm = f"mm: {across:.4g} mm from corner to corner"
+    says(visitor, in_mm).wait_for()
     assert visitor.tab.get_by_role("button", name=re.compile("^m: ")).count() == 0
-    visitor.press(f"mm: {across:.4g} mm from corner to corner")
+    visitor.press(in_mm)
     wait_until(lambda: session.scene.mesh_name == "my scan.ply", "the mesh to be taken")
     assert session.options.unit == "mm"
     np.testing.assert_allclose(np.ptp(session.scene.surface.vertices, axis=0)[0], 0.08, atol=1e-3)
@@ -124,7 +126,7 @@ def test_repairing_turns_the_faces_back_and_says_what_is_left(
         "the report to be another",
     )
     visitor.tab.get_by_text("boundary loops").first.wait_for()
-    assert not says(visitor, "Repaired").is_enabled()
+    wait_until(says(visitor, "Repaired").is_disabled, "nothing to be left to repair")
     before = session.scene.surface.normals.copy()
     visitor.press("Flip")
     wait_until(lambda: session.options.flip, "the flip")
@@ -143,7 +145,7 @@ def test_a_file_that_is_no_mesh_leaves_the_old_one_in_place(
     visitor.tab.get_by_text("holiday.stl: not taken").first.wait_for()
     visitor.picture("mesh-refused")
     assert session.scene is scene
-    assert visitor.tab.get_by_text("Nothing is changed").first.is_visible()
+    visitor.tab.get_by_text("Nothing is changed").first.wait_for()
     # The loop goes on as if nothing had been.
     tick = session.latest().tick
     wait_until(lambda: session.latest().tick > tick + 50, "the loop to tick")
@@ -164,8 +166,8 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_kept(
     trimesh.creation.box((2.0, 2.0, 1.0)).export(small)
     send(visitor, small)
     visitor.tab.get_by_text("This OBJ file does not say its unit").wait_for()
-    assert says(visitor, "mm: 3 mm from corner to corner").is_visible()
-    assert says(visitor, "m: 3 m from corner to corner").is_visible()
+    says(visitor, "mm: 3 mm from corner to corner").wait_for()
+    says(visitor, "m: 3 m from corner to corner").wait_for()
     visitor.press("cm: 30 mm from corner to corner")
     wait_until(lambda: session.scene.mesh_name == "small.obj", "the box to be taken")
     visitor.tab.get_by_text("Sound: no defects.").wait_for()

@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
-from watching import Track, Visitor, drawn_share, settle, wait_until
 
 from app.session import Session
 from app.view import Page
 from app.view.proxy import GIZMO_SIZE
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Track, Visitor, drawn_share, settle, wait_until
 
 MESH = "skull-coarse"  # as the default skull, but a software renderer draws it ten times faster
 
@@ -111,9 +111,9 @@ def test_page_opens_with_scene_and_panel_and_a_quiet_console(visitor: Visitor) -
     assert drawn_share(picture) > 0.1
     assert picture.reshape(-1, 3).std(axis=0).min() > 10.0  # shaded shapes, not one flat colour
     for text in ("Fixture", "Scene", "Teleoperation", "View", "Read-outs", "Legend"):
-        assert visitor.tab.get_by_text(text, exact=True).first.is_visible()
-    assert visitor.readout("rule") == "certified"
-    assert float(visitor.readout("rate").replace(",", "")) > 0.0
+        visitor.tab.get_by_text(text, exact=True).first.wait_for()
+    wait_until(lambda: visitor.readout("rule") == "certified", "the rule")
+    wait_until(lambda: float(visitor.readout("rate").replace(",", "")) > 0.0, "the rate")
     assert visitor.complaints == []
 
 
@@ -136,8 +136,8 @@ def test_dragging_the_gizmo_into_the_skull_stops_the_tool_at_the_bone(
     assert np.linalg.norm(proxy - end) > 1e-3
     assert not crossed(mesh, np.array(track.tips[:: max(1, len(track.tips) // 200)]))
     wait_until(lambda: float(visitor.readout("simulated force")) > 0.1, "the force")
-    assert int(visitor.readout("active planes")) > 0
-    assert visitor.tab.get_by_text("The fixture holds the tool back").is_visible()
+    wait_until(lambda: int(visitor.readout("active planes")) > 0, "the planes")
+    visitor.tab.get_by_text("The fixture holds the tool back").wait_for()
 
 
 def test_recall_puts_the_proxy_back_onto_the_tool(
@@ -271,7 +271,7 @@ def test_old_numbers_say_that_they_are_old(
 ) -> None:
     opacity = "document.querySelector('.vf-old') ? getComputedStyle("
     opacity += "document.querySelector('.vf-old')).opacity : '-'"
-    assert visitor.tab.evaluate(opacity) == "0"
+    wait_until(lambda: visitor.tab.evaluate(opacity) == "0", "numbers of now")
     monkeypatch.setattr(page, "_read_out", lambda: None)  # a view thread that hangs
     wait_until(lambda: visitor.tab.evaluate(opacity) == "1", "the note")
     visitor.picture("old-numbers")

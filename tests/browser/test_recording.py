@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
-from watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
 from app.recording import rerun
 from app.recording.read import read
 from app.session import Session
 from app.settings import Options
 from app.view import Page, pictures, recorder
+from tests.support.watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -153,22 +153,20 @@ def test_while_a_replay_is_shown_the_session_waits_and_all_is_back_afterwards(
     banner(visitor, "Replay: tick").wait_for(timeout=30_000)
 
     # The page shows what is of the recording, and none of it can be changed.
-    wait_until(
-        lambda: box("combobox", name="Mesh", exact=True).input_value() == "skull-coarse", "it"
-    )
-    assert box("combobox", name="Rule", exact=True).input_value() == "all"
+    visitor.reads("Mesh", "skull-coarse")
+    visitor.reads("Rule", "all")
     nodes = page.server.scene._handle_from_node_name
-    drawn = "/corridor/name", "/corridor/left"
-    wait_until(lambda: all(nodes[name].visible for name in drawn), "the cut and its corridor")
+    drawn = lambda: (page._labels["/corridor/name"].visible, nodes["/corridor/left"].visible)  # noqa: E731
+    wait_until(lambda: drawn() == (True, True), "the cut and its corridor")
     for name in ("Mesh", "Robot", "Rule", "Motion sphere", "Show"):
-        assert not box("combobox", name=name, exact=True).is_enabled(), name
+        wait_until(box("combobox", name=name, exact=True).is_disabled, f"{name} to be locked")
     visitor.tab.get_by_role("tab", name="Mesh", exact=True).click()
     for name in ("Examine", "Repair", "Flip"):
-        assert not box("button", name=name, exact=True).is_enabled(), name
+        wait_until(box("button", name=name, exact=True).is_disabled, f"{name} to be locked")
     visitor.tab.get_by_role("tab", name="Record", exact=True).click()
-    assert not box("button", name="Record", exact=True).is_enabled()
+    wait_until(box("button", name="Record", exact=True).is_disabled, "Record to be locked")
     for name in ("Run", "Pause", "Step", "Recall to tool", "Reset", "Load", "Save"):
-        assert box("button", name=name, exact=True).count() == 0, name
+        box("button", name=name, exact=True).wait_for(state="detached")
     visitor.picture("replay-of-another-scene")
     # Nor is there a way around the controls.
     visitor.tab.keyboard.press("j")
@@ -184,8 +182,8 @@ def test_while_a_replay_is_shown_the_session_waits_and_all_is_back_afterwards(
     visitor.press("Back to the session")
     wait_until(lambda: page.shown.scene is scene, "the cube again")
     assert (session.options, session.scene) == (options, scene)
-    wait_until(lambda: box("combobox", name="Mesh", exact=True).input_value() == "cube", "cube")
-    wait_until(lambda: not any(nodes[name].visible for name in drawn), "the cut to go")
+    visitor.reads("Mesh", "cube")
+    wait_until(lambda: drawn() == (False, False), "the cut to go")
     for name in ("Mesh", "Robot", "Rule", "Motion sphere", "Show"):
         wait_until(box("combobox", name=name, exact=True).is_enabled, name)
     for name in ("Run", "Reset", "Load"):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from watching import Visitor, drawn_share, wait_until
 
 import meshes
 from app.scenarios.file import read
@@ -17,6 +16,7 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -81,8 +81,8 @@ def test_picks_a_scenario_reads_its_sentence_and_sees_it(
     wait_until(lambda: session.latest().autopilot, "the hand")
     reads(visitor, "valley-of-the-gear")
     p_tip = rests(session)
-    assert visitor.tab.get_by_role("combobox", name="Rule", exact=True).input_value() == "paper"
-    assert visitor.tab.get_by_role("combobox", name="Mesh", exact=True).input_value() == "gear"
+    visitor.reads("Rule", "paper")
+    visitor.reads("Mesh", "gear")
 
     # Its camera goes along with the tool.
     def followed() -> bool:
@@ -153,8 +153,7 @@ def test_opens_what_was_saved_and_looks_at_it_from_the_same_place(
     camera = visitor.client.camera
     wait_until(lambda: np.abs(camera.position - eye).max() < 2e-3, "its camera")
     assert np.abs(camera.look_at - look_at).max() < 2e-3
-    show = visitor.tab.get_by_role("combobox", name="Show", exact=True)
-    assert show.input_value() == "my-set-up"
+    visitor.reads("Show", "my-set-up")
     visitor.picture("scenario-opened")
     # One that is none is refused with the reason, and what was there stays.
     path.write_text('{"format": 1, "name": "x", "about": "x", "mesh": "../../secret.stl"}')

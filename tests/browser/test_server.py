@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 import viser
-from watching import Visitor, wait_until
 
 from app.session import Session
 from app.view import Page
+from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow
 

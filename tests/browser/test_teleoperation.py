@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from watching import Visitor, drawn_share, wait_until
 
 from app.session import Session
 from app.view import Page
 from app.view.units import VIEW_SCALE
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -108,7 +108,7 @@ def test_reads_the_plots_and_sees_how_deep_the_tool_goes_without_a_fixture(
     before_opening = f"{charts}[0].chart.data[0].length"
     assert visitor.tab.evaluate(before_opening) > 5, "they show what was before"
     for curve in ("Condition 1", "Condition 2", "Condition 3", "median", "worst"):
-        assert visitor.tab.locator(".u-legend").get_by_text(curve, exact=True).is_visible()
+        visitor.tab.locator(".u-legend").get_by_text(curve, exact=True).wait_for()
     start = session.scene.T_base_start
     session.set(rule="off")
     session.drive(pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.016])))
@@ -124,7 +124,7 @@ def test_reads_the_plots_and_sees_how_deep_the_tool_goes_without_a_fixture(
     session.drive(pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.016])))
     visitor.tab.get_by_text("Read-outs", exact=True).click()
     wait_until(lambda: float(visitor.readout("depth below surface").strip("–") or 0) > 0.1, "depth")
-    assert visitor.tab.get_by_text("deep in the anatomy").is_visible()
+    visitor.tab.get_by_text("deep in the anatomy").wait_for()
 
 
 def test_opens_the_help_and_closes_it(visitor: Visitor) -> None:
@@ -136,7 +136,7 @@ def test_opens_the_help_and_closes_it(visitor: Visitor) -> None:
     title.wait_for(state="hidden")
     visitor.tab.keyboard.press("h")
     title.wait_for()
-    assert visitor.tab.locator(".vf-help li").count() == 10
+    wait_until(lambda: visitor.tab.locator(".vf-help li").count() == 10, "ten lines")
     visitor.tab.keyboard.press("h")
     title.wait_for(state="hidden")
     visitor.tab.keyboard.press("h")

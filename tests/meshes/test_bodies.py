@@ -65,7 +65,7 @@ def triangles(shell: Shell, rng: np.random.Generator) -> np.ndarray:
     elif shell.harm == TORN:
         corners = np.delete(corners, rng.choice(len(corners), len(corners) // 20), axis=0)
     elif shell.harm == FINNED:
-        for corner in corners[rng.choice(len(corners), 3)]:
+        for corner in corners[rng.choice(len(corners), 3, replace=False)]:
             tip = corner[0] + (corner[0] - shell.centre) * rng.choice([-0.02, 0.02])
             corners = np.concatenate([corners, [[corner[0], corner[1], tip]]])
     return corners

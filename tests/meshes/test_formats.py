@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from written import FILES, POINTS
 
 import meshes
+from tests.support.mesh_files import FILES, POINTS
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:

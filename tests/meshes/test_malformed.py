@@ -18,9 +18,10 @@ import pytest
 import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from written import FILES
 
 import meshes
+from tests.support import measured_reader
+from tests.support.mesh_files import FILES
 
 MEMORY = 150_000_000  # [byte] that refusing a small file may take
 TIME = 5.0  # [s]
@@ -290,7 +291,7 @@ class Reader:
 
 @pytest.fixture(scope="module")
 def reader() -> Iterator[Reader]:
-    command = [sys.executable, str(Path(__file__).with_name("measured_reader.py"))]
+    command = [sys.executable, measured_reader.__file__]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import re
 import warnings
@@ -14,22 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import meshes
-from app.__main__ import main
-from app.scenarios.file import read
-from app.scene.scene import build
-from app.settings import Options
 from meshes import units
-
-TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], dtype=float) / np.sqrt(3)
-"""Of diagonal 1."""
-FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-
-
-def written(path: Path, across: float) -> Path:
-    """A file of this diagonal that says no unit."""
-    corners = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in (TETRAHEDRON * across).tolist())
-    path.write_text(corners + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in FACES.tolist()))
-    return path
+from tests.support.mesh_files import tetrahedron
 
 
 def usable(size: float) -> bool:
@@ -76,7 +61,7 @@ def test_what_is_said_is_not_asked_again(across: float, unit: str) -> None:
 
 @pytest.mark.parametrize("across", [0.11, 3.0, 4.95, 5.05, 9.9])
 def test_siblings_of_one_set_are_never_read_a_thousand_apart(tmp_path: Path, across: float) -> None:
-    path = written(tmp_path / "tip.obj", across)
+    path = tetrahedron(tmp_path / "tip.obj", across)
     for way in (meshes.load, meshes.arrays):
         with pytest.raises(meshes.UnitNeeded) as asked:
             way(path)
@@ -91,38 +76,9 @@ def test_siblings_of_one_set_are_never_read_a_thousand_apart(tmp_path: Path, acr
 
 def test_what_only_one_unit_can_be_is_told(tmp_path: Path) -> None:
     for across, unit in ((0.07, "m"), (35.0, "mm"), (250.0, "mm")):
-        path = written(tmp_path / "m.obj", across)
+        path = tetrahedron(tmp_path / "m.obj", across)
         with pytest.warns(meshes.UnitGuess, match=rf"taken to be in {unit} .*say the unit"):
             vertices, _ = meshes.arrays(path)
         assert np.linalg.norm(np.ptp(vertices, axis=0)) == pytest.approx(
             across * meshes.UNITS[unit]
         )
-
-
-def test_commands_ask_for_the_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(written(tmp_path / "tip.obj", 4.95))
-    for words in (
-        ["mesh", "check", path],
-        ["mesh", "repair", path, str(tmp_path / "out.ply")],
-        ["verify", "--mesh", path],
-        ["bench", "meshes", "--mesh", path],
-        ["--mesh", path, "--port", "0"],
-    ):
-        assert main(words) == 2
-        said = " ".join(capsys.readouterr().err.split())
-        sizes = "4.95 mm from corner to corner if in mm or 4.95 m from corner to corner if in m"
-        assert f"{sizes}: give --unit mm or" in said
-    assert not (tmp_path / "out.ply").exists()
-    assert main(["mesh", "check", path, "--unit", "mm"]) == 0
-
-
-def test_a_scenario_says_the_unit_of_its_mesh(tmp_path: Path) -> None:
-    written(tmp_path / "tip.obj", 4.95)
-    file = tmp_path / "s.json"
-    content = {"format": 1, "name": "tip", "about": "A tip.", "mesh": "tip.obj", "robot": "point"}
-    file.write_text(json.dumps(content))
-    with pytest.raises(meshes.UnitNeeded, match='in a scenario "unit"'):
-        build(read(file).applied(Options()), 1)
-    file.write_text(json.dumps({**content, "unit": "mm"}))
-    scene = build(read(file).applied(Options()), 1)
-    assert scene.surface.size < 0.01

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from written import (
+
+import meshes
+from tests.support.mesh_files import (
     POINTS,
     QUADS,
     TRIANGLES,
@@ -27,8 +29,6 @@ from written import (
     vtk_text,
     vtp,
 )
-
-import meshes
 
 MARK = b"\xef\xbb\xbf"
 

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import exact
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import robots
 import vf
+from tests.support import exact
 
 SHARES = np.linspace(0.0, 1.0, 17)
 ARMS = ("psm", "panda", "ur5")

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-import exact
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import vf
-from app.studies.verification.exact import distance2
+from tests.support import exact, naive
 
 STANDOFF = 20e-6
 ONE = np.eye(3)[None]
@@ -113,7 +112,7 @@ def test_a_sliver_just_inside_the_ball_is_in_the_ball(exponent: int) -> None:
         triangle, across = sliver(rng, 10.0**exponent)
         length = float(np.ptp(triangle, axis=0).max())
         x = rng.dirichlet([2, 2, 2]) @ triangle + across * 10.0 ** rng.uniform(-7.0, -2.0)
-        square = distance2(triangle, x)
+        square = naive.exact_closest(triangle, x)[1]
         distance = float(square) ** 0.5
         surface = exact.soup(triangle[None])
         for extra in (3e-9, 3e-10, 3e-11, 1e-12, 1e-14, 0.0):
@@ -132,7 +131,7 @@ def test_slivers_among_others_do_not_leak(exponent: int) -> None:
         triangles = np.array([sliver(rng, 10.0 ** rng.uniform(0, exponent))[0] for _ in range(8)])
         surface = exact.soup(triangles)
         x = rng.normal(size=3) * 0.02
-        nearest = min(distance2(t, x) for t in triangles)
+        nearest = min(naive.exact_closest(t, x)[1] for t in triangles)
         tip = float(nearest) ** 0.5 * 0.5 if k % 3 == 0 else 0.0
         found = vf.certified_planes(surface, x, 0.05, STANDOFF if k % 2 else 0.0, tip)
         assert exact.leaking(triangles, found, x, tip).size == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import exact
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,6 +9,7 @@ import trimesh
 
 import robots
 import vf
+from tests.support import exact
 
 BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],

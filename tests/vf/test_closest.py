@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from math import sqrt
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 import vf
+from tests.support import naive
 from vf.closest import distance2_to_triangle
 
 FEATURE_OF_WEIGHTS = {

@@ -11,17 +11,17 @@ import subprocess
 import sys
 import tracemalloc
 
-import naive
 import numba.core.event
 import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from everyday import everyday
 
 import meshes
 import robots
 import vf
+from tests.support import naive
+from tests.support.everyday import everyday
 from vf import Status
 
 UM = 1e-6
@@ -448,6 +448,28 @@ def test_unusable_joints_are_refused(bad):
     assert step.status is Status.REFUSED
     assert (step.q[:3] == q[:3]).all()
     assert controller.step(q[:5], arm.tip(arm.neutral)).status is Status.REFUSED
+
+
+@pytest.mark.parametrize("bad", [None, "x", [0.0] * 5, [np.nan] * 6, [1e16] * 6], ids=repr)
+def test_refused_joints_are_answered_by_the_last_ones_sent(bad):
+    arm = robots.load("psm")
+    controller = vf.Controller(arm, fixed(plate(-0.5)), vf.Settings())
+    controller.warm_up()  # its own ticks are none that anything was sent by
+    goal = arm.tip(arm.neutral)
+    with np.errstate(invalid="ignore"):
+        first = controller.step(bad, goal)
+    assert first.status is Status.REFUSED
+    assert not np.array_equal(first.q, 0.5 * (arm.lower + arm.upper))
+    goal.translation = goal.translation + np.array([1e-3, 0.0, 0.0])
+    for target in (goal, pose([np.nan, 0, 0])):  # a step, and a target of no use
+        sent = controller.step(arm.neutral, target)
+        step = controller.step(bad, goal)
+        assert step.status is Status.REFUSED
+        assert (step.q == sent.q).all()
+        assert np.allclose(step.tip.homogeneous, arm.tip(sent.q).homogeneous, atol=1e-15)
+        assert not step.q.flags.writeable
+        # And on from there.
+        assert controller.step(step.q, arm.tip(arm.neutral)).status is Status.SOLVED
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,15 @@ from __future__ import annotations
 import heapq
 from dataclasses import replace
 
-import naive
 import numpy as np
 import pytest
 import trimesh
-from everyday import everyday
 from hypothesis import given
 from hypothesis import strategies as st
 
 import vf
+from tests.support import naive
+from tests.support.everyday import everyday
 from vf import cover
 from vf.cover import BUDGET, YIELD
 
@@ -38,12 +38,11 @@ def check(
     assert (planes.slack(x) >= -1e-15 * scale).all(), case
     assert np.abs(np.linalg.norm(planes.normals, axis=1) - 1).max(initial=0) < 1e-12, case
     if corners is None:
-        ids = surface.within(x, (radius + tip_radius) * (1 + 1e-6)).triangles
-        corners = surface.vertices[surface.faces[ids]]
+        corners = naive.near(surface, x, (radius + tip_radius) * (1 + 1e-6))
     hair = 1e-13 * scale + 1e-300
     # A tip that already touches the surface cannot keep its radius clear of it: what is promised
     # then is that its centre crosses nothing.
-    clear = surface.nearest(x)[0] > tip_radius + 2 * hair
+    clear = naive.brute(surface).nearest(x) > tip_radius + 2 * hair
     found = naive.leaks(corners, planes, x, tip_radius if clear else 0.0, hair)
     assert not found, f"{case}: {found[:3]}"
     return planes
@@ -199,9 +198,9 @@ def test_random_points_of_the_surface_are_behind_some_plane():
             radius = surface.median_edge * 10.0 ** rng.uniform(-0.5, 0.7)
             x = naive.around(surface, rng, radius)
             planes = vf.certified_planes(surface, x, radius, 20 * UM)
-            ids = surface.within(x, radius).triangles
+            corners = naive.near(surface, x, radius)
             weights = rng.dirichlet((0.6, 0.6, 0.6), size=200)
-            z = np.einsum("sk,ikj->isj", weights, surface.vertices[surface.faces[ids]])
+            z = np.einsum("sk,ikj->isj", weights, corners)
             z = z.reshape(-1, 3)
             z = z[np.linalg.norm(z - x, axis=1) < planes.radius]
             behind = (z @ planes.normals.T < planes.offsets).any(axis=1)
@@ -217,7 +216,7 @@ def test_the_oracle_sees_a_missing_plane():
         radius = 2 * surface.median_edge
         x = naive.around(surface, rng, 0.5 * radius)
         planes = vf.certified_planes(surface, x, radius)
-        corners = surface.vertices[surface.faces[surface.within(x, radius).triangles]]
+        corners = naive.near(surface, x, radius)
         for k in range(len(planes)):
             keep = np.arange(len(planes)) != k
             fewer = replace(planes, normals=planes.normals[keep], offsets=planes.offsets[keep])
@@ -235,12 +234,11 @@ def test_steps_within_planes_and_ball_cross_nothing():
     taken = 0
     for name in ("star-prism", "skull-coarse", "thin-plate"):
         surface = naive.catalogue(name)
-        corners = surface.vertices[surface.faces]
         for _ in range(15):
             radius = surface.median_edge * 10.0 ** rng.uniform(-0.5, 0.8)
             x = naive.around(surface, rng, 0.3 * radius)
             planes = vf.certified_planes(surface, x, radius, 20 * UM)
-            near = corners[surface.within(x, radius).triangles]
+            near = naive.near(surface, x, radius)
             for _ in range(20):
                 y = x + naive.unit(rng) * planes.radius * rng.random() ** 0.3
                 for _ in range(50):  # pushed back onto the planes it is behind

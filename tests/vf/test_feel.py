@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pinocchio as pin
 import pytest
-from everyday import everyday
 
 import meshes
 import robots
 import vf
-from app.studies.verification import campaign, oracles
+from tests.support import feel, naive
+from tests.support.everyday import everyday
 
 MM, UM = 1e-3, 1e-6
 CURVED = ("torus", "sphere", "gyroid", "saddle-slab", "skull-coarse")
@@ -47,12 +46,12 @@ def reach(names: tuple[str, ...], trials: int, seed: int) -> np.ndarray:
             p, start = spot(surface, rng)
             if trial % 2:
                 proxy = p + naive.unit(rng) * rng.uniform(1 * MM, 5 * MM)
-                start = campaign.rest(surface, "certified", 0.5 * MM, start, proxy)
+                start = feel.rest(surface, "certified", 0.5 * MM, start, proxy)
             proxy = p + naive.unit(rng) * rng.uniform(3 * MM, 15 * MM)
             rows.append(
                 [
                     [
-                        np.linalg.norm(campaign.rest(surface, rule, radius, start, proxy) - proxy)
+                        np.linalg.norm(feel.rest(surface, rule, radius, start, proxy) - proxy)
                         for radius in (0.5 * MM, 5 * MM)
                     ]
                     for rule in ("certified", "paper")
@@ -114,7 +113,7 @@ def test_a_resting_tool_does_not_jitter(robot, radius):
             mesh = meshes.arrays(name)
             q = arm.lower + rng.uniform(0.3, 0.7, len(arm.lower)) * (arm.upper - arm.lower)
             x = arm.tip(q).translation
-            surface = campaign._surface_near(mesh, x, 0.0, None, rng)
+            surface = feel.surface_near(*mesh, x, rng)
             below = surface.nearest(x)[2] - x
             goal = x + below + (below / np.linalg.norm(below) + 0.7 * naive.unit(rng)) * 3 * MM
             tips = path(arm, surface, radius, q, [goal] * 900)
@@ -182,14 +181,16 @@ def test_a_straight_free_way_out_of_a_corner_is_open(name, radius):
     ways = 0
     while ways < 4:
         p, start = spot(surface, rng)
-        x = campaign.rest(surface, "certified", radius, start, p - (start - p))
+        x = feel.rest(surface, "certified", radius, start, p - (start - p))
         goal = x + naive.unit(rng) * rng.uniform(1 * MM, 4 * MM)
         # A hair's breadth of room along the way, but for its beginning at the standoff.
         begin = x + 0.05 * (goal - x)
-        if oracles.crossings(surface, x, begin) or oracles.scrapes(surface, begin, goal, 25 * UM):
+        if not (
+            feel.is_open(surface, x, begin, 0.0) and feel.is_open(surface, begin, goal, 25 * UM)
+        ):
             continue
         ways += 1
-        end = campaign.rest(surface, "certified", radius, x, goal)
+        end = feel.rest(surface, "certified", radius, x, goal)
         assert np.linalg.norm(end - goal) < 1 * UM, f"{x.tolist()} → {goal.tolist()}: {end}"
 
 
@@ -197,7 +198,7 @@ def test_out_of_the_inner_corner_of_a_block_in_a_straight_line():
     """Pressed into the valley of 90°, then called out diagonally, along one wall, and up."""
     surface = naive.catalogue("l-block")
     p, start, normals = _valley(surface)
-    corner = campaign.rest(surface, "certified", 5 * MM, start, p - 2 * MM * normals.sum(axis=0))
+    corner = feel.rest(surface, "certified", 5 * MM, start, p - 2 * MM * normals.sum(axis=0))
     for n in normals:
         assert abs((corner - p) @ n - 20 * UM) < 2 * UM
     for direction in (normals.sum(axis=0), normals[0], normals[1]):
@@ -265,10 +266,13 @@ def blocked(surface: vf.Surface, edges: float, queries: int) -> tuple[float, flo
             x = naive.around(surface, rng, radius)
             if not surface.inside(x):
                 break
-        for k, rule in enumerate(("certified", "paper")):
-            planes = campaign.planes_of(rule, surface, x, radius, standoff=0.0)
+        both = (
+            vf.certified_planes(surface, x, radius, standoff=0.0),
+            vf.paper_planes(surface, x, radius),
+        )
+        for k, planes in enumerate(both):
             samples = np.random.default_rng(number)
-            counts = oracles.blocked(surface, planes, x, radius, samples, 24)
+            counts = feel.blocked(surface, planes, x, radius, samples, 24)
             forbidden[k] += counts[0]
             free[k] += counts[1]
     ours, theirs = forbidden / free

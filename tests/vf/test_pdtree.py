@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 
-import naive
 import numpy as np
 import pytest
 import trimesh
 
 import vf
+from tests.support import naive
 from vf import pdtree
 from vf.pdtree import PATIENCE, UNFINISHED
 

@@ -6,6 +6,14 @@ The other solver is Lawson and Hanson's: least distance programming by non-negat
 
 from __future__ import annotations
 
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -14,6 +22,7 @@ import robots
 import vf
 from vf import ConstrainedLeastSquares, Solver
 
+ROOT = Path(__file__).parents[2]
 UM = 1e-6
 DAMPING = 1e-8
 OPTIMAL = {Solver.FREE, Solver.PROJECTED, Solver.SOLVED}
@@ -284,3 +293,66 @@ def test_pacing_keeps_the_direction():
 def test_the_number_of_joints_is_checked():
     with pytest.raises(ValueError, match="0"):
         ConstrainedLeastSquares(0)
+
+
+SOLVES = """
+import os, signal, sys
+import numpy as np
+from vf import ConstrainedLeastSquares, qp
+
+told = int(sys.argv[1])
+found = heard = 0
+ask = qp._heard
+
+def asked():
+    global found
+    came = ask()
+    found += came != 0
+    return came
+
+def hear(number, frame):
+    global heard
+    heard += 1
+    os.write(told, b"!")
+
+qp._heard = asked
+random = np.random.default_rng(0)
+problem = (
+    random.normal(size=(6, 6)), 1e-2 * random.normal(size=6), 1e-6,
+    random.normal(size=(60, 6)), -1e-4 * random.random(60), np.full(6, -1.0), np.full(6, 1.0),
+)
+solver = ConstrainedLeastSquares(6)
+first = solver.solve(*problem)
+assert first.iterations > 0, "OSQP is not asked"
+signal.signal(signal.SIGINT, hear)
+os.write(told, b"!")
+while heard < 200:
+    again = solver.solve(*problem)
+    assert np.array_equal(again.dq, first.dq)
+    assert np.array_equal(again.multipliers, first.multipliers)
+    assert (again.solver, again.iterations) == (first.solver, first.iterations)
+assert found > 0, "none came while OSQP solved"
+"""
+
+
+def test_an_interrupt_while_osqp_solves_is_heard_and_changes_no_answer() -> None:
+    read, write = os.pipe()
+    process = subprocess.Popen(
+        [sys.executable, "-c", SOLVES, str(write)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, pass_fds=[write], cwd=ROOT,
+    )  # fmt: skip
+    try:
+        os.close(write)
+        # One at a time: signals that wait together are one.
+        for k in range(201):
+            assert select.select([read], [], [], 60.0)[0], f"interrupt {k} was lost"
+            if not os.read(read, 1) or k == 200:
+                break
+            time.sleep(1e-4 * (k % 20))
+            process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 0, err
+    finally:
+        process.kill()
+        process.wait()
+        os.close(read)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pytest
-from everyday import everyday
-from test_conditions import CASES, T1, T2, hinge
 
 import vf
+from tests.support import naive
+from tests.support.everyday import everyday
+from tests.support.figures import CASES, T1, T2, hinge
 from vf import Cover, Edge, Verdict
 
 # What a student would say of each case, worked out by hand.

@@ -6,13 +6,13 @@ import hashlib
 import re
 import struct
 
-import naive
 import numpy as np
 import pytest
 import trimesh
 
 import meshes
 import vf
+from tests.support import naive
 
 BOUNDARY, FLAT, NON_MANIFOLD = vf.Edge.BOUNDARY, vf.Edge.FLAT, vf.Edge.NON_MANIFOLD
 RIDGE, VALLEY = vf.Edge.RIDGE, vf.Edge.VALLEY

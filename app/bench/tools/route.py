@@ -1,4 +1,4 @@
-"""A fixed course for the proxy: into and along the anatomy at a dozen spots, half of them pits."""
+"""A fixed route for the proxy: into and along the anatomy at a dozen spots, half of them pits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CANDIDATES = 240
 
 
 @dataclass(frozen=True)
-class Course:
+class Route:
     """Proxy paths, one for each spot, in the arm's base frame.
 
     Attributes:
@@ -48,8 +48,8 @@ class Course:
         return [pin.SE3(self.rotation, point) for point in points]
 
 
-def plan(surface: vf.Surface, arm: robots.Arm, spots: int = SPOTS) -> Course:
-    """A course over the upper (+z) side of a surface below the arm's tip.
+def plan(surface: vf.Surface, arm: robots.Arm, spots: int = SPOTS) -> Route:
+    """A route over the upper (+z) side of a surface below the arm's tip.
 
     Down from free space, on into the surface, along it below the skin, and up again: the tool is
     free, touches, slides, and in the pits slides against several walls.
@@ -94,7 +94,7 @@ def plan(surface: vf.Surface, arm: robots.Arm, spots: int = SPOTS) -> Course:
         candidates, hollow = candidates[keep], hollow[keep]
     if not chosen:
         raise ValueError("no spot of the mesh can be reached from above: is the unit right?")
-    return Course(np.array(T.rotation), tuple(starts), tuple(paths), tuple(pits))
+    return Route(np.array(T.rotation), tuple(starts), tuple(paths), tuple(pits))
 
 
 def _highest(surface: vf.Surface, xy: FloatArray) -> FloatArray | None:

@@ -45,7 +45,7 @@ class Runtime(Checked):
     )  # fmt: skip
     ticks: int = option(
         Whole(1, 10**7), 2400,
-        "Ticks of each row and pass, 200 for each spot of the course, which has twelve.",
+        "Ticks of each row and pass, 200 for each spot of the route, which has twelve.",
     )  # fmt: skip
     passes: int = option(
         Whole(1, 1000), 3,

@@ -68,23 +68,23 @@ def wanted() -> dict[str, float]:
 def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
     """The same figures of simulated teleoperation; equal seeds give equal randomness."""
     place = site.build()
-    course = place.course.moved(place.T_base_skull)
+    planned = place.planned.moved(place.T_base_skull)
     start = place.T_base_start.translation
     deviation, penetration, durations, smooth = [], [], [], []
     for number in range(trials):
         rng = np.random.default_rng(np.random.SeedSequence((seed, number)))
         cut = perform(
-            operator, course, start, FaultlessArm(), assisted=False,
+            operator, planned, start, FaultlessArm(), assisted=False,
             stroke=operator.stroke, rate=CUTTING_RATE, rng=rng,
         )  # fmt: skip
-        shape = cutting.kerf(course, cut.tips)
+        shape = cutting.kerf(planned, cut.tips)
         deviation.append(np.abs(shape.deviation))
         penetration.append(np.abs(shape.penetration))
         durations.append(cut.duration)
         if number >= TRACES:
             continue
         trace = perform(
-            operator, course, start, FaultlessArm(), assisted=False,
+            operator, planned, start, FaultlessArm(), assisted=False,
             stroke=operator.tracing_stroke, rate=TRACING_RATE, rng=rng,
         )  # fmt: skip
         every = round(TRACING_RATE / 100.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from app.studies.experiments.site import THICKNESS, Course
+from app.studies.experiments.site import THICKNESS, PlannedCut
 
 FloatArray = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class Kerf:
 
 
 def kerf(
-    course: Course,
+    planned: PlannedCut,
     tips: ArrayLike,
     blade: Blade | None = None,
     stations: ArrayLike | None = None,
@@ -75,7 +75,7 @@ def kerf(
     thickness of it; the path is straight between ticks.
 
     Args:
-        course: the planned cut where the bone really is.
+        planned: the planned cut where the bone really is.
         tips: (n, 3) positions of the tip, same frame [m].
         blade: the default one if not given.
         stations: (k,) where to look [m]; every `INTERVAL` from the first on if not given.
@@ -83,12 +83,12 @@ def kerf(
     """
     blade = blade or Blade()
     if stations is None:
-        stations = INTERVAL * np.arange(1, round(course.length / INTERVAL - 0.49) + 1)
+        stations = INTERVAL * np.arange(1, round(planned.length / INTERVAL - 0.49) + 1)
     marks = np.asarray(stations, dtype=np.float64)
     points = np.asarray(tips, dtype=np.float64)
     found = np.full((4, len(marks)), np.nan)
     for k, mark in enumerate(marks):
-        origin, along, aside, outward = course.at(mark)
+        origin, along, aside, outward = planned.at(mark)
         p = (points - origin) @ np.stack([along, aside, outward], axis=1)  # (n, 3)
         cut = _between(p, 0.5 * blade.thickness)
         cut = cut[cut[:, 2] < 0.0]

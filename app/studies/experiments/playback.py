@@ -65,7 +65,7 @@ def scene(recorded: Recorded) -> Scene:
         mesh_name=options(trial).mesh,
         surface=place.guarded(recorded.T_base_registered),
         T_base_mesh=place.T_base_skull,
-        planned_path=place.course.moved(recorded.T_base_registered).points,
+        planned_path=place.planned.moved(recorded.T_base_registered).points,
         vertices_shown=shown,
         faces_shown=faces_shown,
         decimated=decimated,

@@ -23,7 +23,7 @@ from app.studies.experiments import cutting, judge, registration, site, smoothne
 from app.studies.experiments.description import Trial
 from app.studies.experiments.follower import ControlledArm
 from app.studies.experiments.operators import Operator
-from app.studies.experiments.site import Course
+from app.studies.experiments.site import PlannedCut
 from app.studies.experiments.trial import Run, perform
 from app.words import OptionError
 
@@ -164,7 +164,7 @@ class Recorded:
     run: Run
     joints: FloatArray
     T_base_registered: FloatArray
-    course: Course
+    planned: PlannedCut
 
 
 def run(trial: Trial, operator: Operator | None = None) -> Outcome:
@@ -182,7 +182,7 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
     place = site.build(trial.mesh, trial.length)
     if operator is None:
         operator = who(trial)
-    truth = place.course.moved(place.T_base_skull)
+    truth = place.planned.moved(place.T_base_skull)
     found = registration.fit(
         place.fiducials,
         registration.measure(
@@ -191,7 +191,7 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
             trial.generator(0),
         ),
     )
-    believed = place.course.moved(found.T)
+    believed = place.planned.moved(found.T)
     fixtures: list[vf.Fixture] = []
     if trial.assisted:
         guarded = place.guarded(found.T)
@@ -230,7 +230,7 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
         sal=smoothness.sal(speed, trial.rate / every),
         sparc=smoothness.sparc(speed, trial.rate / every),
         fre=found.fre,
-        tre=registration.target_error(found, place.T_base_skull, place.course.points),
+        tre=registration.target_error(found, place.T_base_skull, place.planned.points),
         stations=cut.stations,
         deviation=cut.deviation,
         penetration=cut.penetration,
@@ -256,15 +256,15 @@ def who(trial: Trial) -> Operator:
     return Operator().varied(np.random.default_rng(entropy), OPERATORS_DIFFER)
 
 
-def _along(course: Course, points: FloatArray, rate: float) -> FloatArray:
-    """Points in the course's own coordinates: station, aside, height over the bone, and time."""
-    nearest = np.linalg.norm(points[:, None] - course.points, axis=2).argmin(axis=1)
-    off = points - course.points[nearest]
+def _along(planned: PlannedCut, points: FloatArray, rate: float) -> FloatArray:
+    """Points in the planned cut's own coordinates: station, aside, height over bone, and time."""
+    nearest = np.linalg.norm(points[:, None] - planned.points, axis=2).argmin(axis=1)
+    off = points - planned.points[nearest]
     return np.stack(
         [
-            course.stations[nearest] + (off * course.along[nearest]).sum(axis=1),
-            (off * course.aside[nearest]).sum(axis=1),
-            (off * course.outward[nearest]).sum(axis=1),
+            planned.stations[nearest] + (off * planned.along[nearest]).sum(axis=1),
+            (off * planned.aside[nearest]).sum(axis=1),
+            (off * planned.outward[nearest]).sum(axis=1),
             np.arange(1, len(points) + 1) / rate,
         ],
         axis=1,

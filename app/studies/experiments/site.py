@@ -32,7 +32,7 @@ FIDUCIALS = (
 
 
 @dataclass(frozen=True)
-class Course:
+class PlannedCut:
     """A planned cut with a frame at every point of it, in one frame of reference.
 
     Attributes:
@@ -60,10 +60,10 @@ class Course:
         ]
         return found[0], *(v / np.linalg.norm(v) for v in found[1:])
 
-    def moved(self, T: FloatArray) -> Course:
-        """The same course in another frame, by a rigid transform (4, 4)."""
+    def moved(self, T: FloatArray) -> PlannedCut:
+        """The same planned cut in another frame, by a rigid transform (4, 4)."""
         R = T[:3, :3]
-        return Course(
+        return PlannedCut(
             self.stations,
             self.points @ R.T + T[:3, 3],
             self.along @ R.T,
@@ -78,7 +78,7 @@ class Site:
 
     Attributes:
         mesh: name of the skull.
-        course: the planned cut, skull's axes.
+        planned: the planned cut, skull's axes.
         inner: vertices and faces of the inner surface, skull's axes [m].
         fiducials: (6, 3) on the outer surface, skull's axes [m].
         T_base_skull: (4, 4) where the skull really is.
@@ -87,7 +87,7 @@ class Site:
     """
 
     mesh: str
-    course: Course
+    planned: PlannedCut
     inner: tuple[FloatArray, NDArray[np.int64]]
     fiducials: FloatArray
     T_base_skull: FloatArray
@@ -112,12 +112,12 @@ def build(mesh: str = "skull", length: float | None = None) -> Site:
     arm = robots.load("psm")
     neutral = arm.tip(arm.neutral)
     T_base_skull = meshes.Placement().pose(vertices, neutral)
-    course = _course(meshes.planned_path(mesh), length)
-    start = meshes.transformed(T_base_skull, course.points[:1] + 1e-3 * course.outward[:1])[0]
+    planned = _planned(meshes.planned_path(mesh), length)
+    start = meshes.transformed(T_base_skull, planned.points[:1] + 1e-3 * planned.outward[:1])[0]
     directions = np.array(FIDUCIALS)
     return Site(
         mesh=mesh,
-        course=course,
+        planned=planned,
         inner=skull.endocranium(SEGMENTS[mesh]),
         fiducials=skull.outer_points(directions),
         T_base_skull=T_base_skull,
@@ -126,7 +126,7 @@ def build(mesh: str = "skull", length: float | None = None) -> Site:
     )
 
 
-def _course(points: FloatArray, length: float | None) -> Course:
+def _planned(points: FloatArray, length: float | None) -> PlannedCut:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     stations = np.r_[0.0, np.cumsum(steps)]
     if length is not None:
@@ -145,4 +145,4 @@ def _course(points: FloatArray, length: float | None) -> Course:
     aside = np.tile([1.0, 0.0, 0.0], (len(points), 1))
     outward = np.cross(aside, along)
     outward *= np.sign(outward[:, 2:])
-    return Course(stations, points, along, aside, outward)
+    return PlannedCut(stations, points, along, aside, outward)

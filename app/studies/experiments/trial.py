@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.studies.experiments.follower import Follower
 from app.studies.experiments.operators import Operator, SlowError, Tremor, minimum_jerk
-from app.studies.experiments.site import THICKNESS, Course
+from app.studies.experiments.site import THICKNESS, PlannedCut
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Run:
 
 def perform(
     operator: Operator,
-    course: Course,
+    planned: PlannedCut,
     start: FloatArray,
     follower: Follower,
     *,
@@ -53,10 +53,10 @@ def perform(
     rate: float,
     rng: np.random.Generator,
 ) -> Run:
-    """Let the operator cut (or trace) a course.
+    """Let the operator cut (or trace) along a planned cut.
 
     Args:
-        course: the planned cut where the skull really is, for that is what the operator sees.
+        planned: the planned cut where the skull really is, for that is what the operator sees.
         start: (3,) the tip at the start, base frame [m].
         follower: what the tool makes of the hand's goals.
         assisted: the fixture is on, and the operator relies on it for depth.
@@ -64,7 +64,7 @@ def perform(
         rate: ticks per second [Hz].
         rng: of this trial alone.
     """
-    eye = _Eye(operator, course, rng)
+    eye = _Eye(operator, planned, rng)
     tremor = Tremor(operator.tremor * operator.scale, rate, rng)
     moving = max(round(operator.movement_time * rate), 1)
     waiting = max(round(operator.visual_delay * rate), 1)
@@ -80,8 +80,8 @@ def perform(
         if seen > operator.tolerance:
             corrections += 1
         else:
-            reached = station >= course.length
-            going = min(station + stroke, course.length)
+            reached = station >= planned.length
+            going = min(station + stroke, planned.length)
             move = move + eye.goal(going) - eye.goal(station)
             station = going
         if assisted:
@@ -104,9 +104,9 @@ def perform(
 class _Eye:
     """What the operator sees and feels, and what hand movement follows from it."""
 
-    def __init__(self, operator: Operator, course: Course, rng: np.random.Generator) -> None:
-        self._operator, self._course, self._rng = operator, course, rng
-        _, along, aside, outward = course.at(0.5 * course.length)
+    def __init__(self, operator: Operator, planned: PlannedCut, rng: np.random.Generator) -> None:
+        self._operator, self._planned, self._rng = operator, planned, rng
+        _, along, aside, outward = planned.at(0.5 * planned.length)
         angle = operator.view_angle
         # From the camera into the scene, tilted to one side of the cut.
         self._sight = np.cos(angle) * -outward + np.sin(angle) * aside
@@ -118,7 +118,7 @@ class _Eye:
 
     def goal(self, station: float) -> FloatArray:
         """Where the tip belongs: at the bottom of the cut."""
-        point, _, _, outward = self._course.at(station)
+        point, _, _, outward = self._planned.at(station)
         return np.asarray(point - THICKNESS * outward)
 
     def wanted(
@@ -136,7 +136,7 @@ class _Eye:
     ) -> FloatArray:
         """The movement along the fixture that has the same effect in the picture, and the press."""
         operator = self._operator
-        _, along, aside, outward = self._course.at(station)
+        _, along, aside, outward = self._planned.at(station)
         effect = np.array(
             [
                 [aside @ self._across, along @ self._across],

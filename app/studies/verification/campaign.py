@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 import robots
 import vf
-from app.studies.verification import hands, oracles, scenes
+from app.judges import oracles
+from app.studies.verification import hands, scenes
 from meshes.builtin.shapes import Arrays
 
 FloatArray = NDArray[np.float64]
@@ -34,7 +35,7 @@ class Drive:
     ticks: int = 0
     crossings: int = 0
     first: str = ""  # where the first crossing happened, to reproduce it
-    inside: int = 0  # ticks that began inside (and were only let out)
+    inside: int = 0  # ticks that began inside, as the controller says
     statuses: Counter[vf.Status] = field(default_factory=Counter)
     solvers: Counter[vf.Solver] = field(default_factory=Counter)
     planes: int = 0
@@ -115,13 +116,14 @@ def drive(
         controller = vf.Controller(arm, around.fixtures, settings)
         tools = [tip]
         hand = hands.goals(rng, around.surfaces[0], tip, tools)
+        through = False
         length = min(EPISODE, steps - result.ticks)
         for _ in range(length):
             before = q
             step = controller.step(q, next(hand))
             q = _actuate(arm, step.q, bound, rng) if bound else step.q
             tools[0] = arm.tip(q)
-            _judge(result, around, step, _way(arm, before, q), rng)
+            through |= _judge(result, around, step, _way(arm, before, q), rng, through)
             result.ticks += 1
         progress(length)
     return result
@@ -141,7 +143,13 @@ def _judge(
     step: vf.Step,
     way: list[FloatArray],
     rng: np.random.Generator,
-) -> None:
+    through: bool,
+) -> bool:
+    """Count what happened in one tick; whether something was crossed.
+
+    Every episode starts outside. So that a tick starts inside is believed only once something was
+    crossed in this episode (`through`): then the tool is let out, which is no further crossing.
+    """
     result.statuses[step.status] += 1
     result.solvers[step.solver] += 1
     result.planes += len(step.planes)
@@ -149,8 +157,10 @@ def _judge(
     result.times.append(step.timings.total)
     if step.status is vf.Status.INSIDE:
         result.inside += 1
-        return
-    if any(around.crossings(a, b) for a, b in pairwise(way)):
+        if through:
+            return False
+    crossed = any(around.crossings(a, b) for a, b in pairwise(way))
+    if crossed:
         result.crossings += 1
         if not result.first:
             result.first = f"tick {result.ticks}: {way[0].tolist()} → {way[-1].tolist()}"
@@ -159,6 +169,7 @@ def _judge(
         forbidden, free = oracles.blocked(surface, step.planes, way[0], step.radius, rng, 16)
         result.forbidden += forbidden
         result.free += free
+    return crossed
 
 
 def _some_pose(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:

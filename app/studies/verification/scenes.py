@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.studies.verification import oracles
+from app.judges import oracles
 
 FloatArray = NDArray[np.float64]
 

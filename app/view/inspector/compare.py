@@ -1,7 +1,7 @@
 """What every rule would do at one pose: planes, the step, and what leaks or is blocked needlessly.
 
 The arm and the controllers are this module's own. Leaks and blocked space are judged by sampling,
-with no code of the rules: only the list of triangles in the ball is `Surface.within`'s.
+with no code of the rules, over the triangles that `app.judges.boxes` finds.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import vf
+from app.judges import boxes, oracles
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
@@ -27,7 +28,7 @@ BLOCK = 64  # planes judged at a time
 
 
 @dataclass(frozen=True)
-class Trial:
+class Forecast:
     """What one rule would do.
 
     Attributes:
@@ -61,18 +62,18 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Trials:
+class Forecasts:
     """What every rule would do from one and the same state.
 
     Attributes:
         x: (3,) where the tip, or the probe, was then [m].
         tick: the tick after which it was so; None for a probe.
-        of: a trial for each rule.
+        of: a forecast for each rule.
     """
 
     x: FloatArray
     tick: int | None
-    of: tuple[Trial, ...]
+    of: tuple[Forecast, ...]
 
 
 class Comparison:
@@ -84,20 +85,21 @@ class Comparison:
         self._options: Options | None = None
         self._controllers: dict[str, vf.Controller] = {}
 
-    def trials(
+    def forecasts(
         self,
         surface: vf.Surface,
         x: FloatArray,
         radius: float,
         options: Options,
         pose: Pose | None,
-    ) -> tuple[Trial, ...]:
+    ) -> tuple[Forecast, ...]:
         """Every rule at x (3,); without a `pose` no step is made."""
         rng = np.random.default_rng(0)  # the same points each time: the numbers do not flicker
         reach = radius + options.tip_radius
-        contacts = surface.within(x, reach)
-        order = np.argsort(contacts.distances)
-        corners = surface.vertices[surface.faces[contacts.triangles[order]]] - x
+        near = boxes.near(boxes.of(surface), x, x, reach)
+        away = oracles.distances(surface, near, x)
+        near = near[np.argsort(away)[: np.count_nonzero(away <= reach)]]
+        corners = surface.vertices[surface.faces[near]] - x
         on_surface = sample(corners, reach, SAMPLES, rng)
         free = reachable(corners[:NEAREST], radius, PATHS, rng)
         inside = surface.inside(x)
@@ -111,19 +113,19 @@ class Comparison:
             step, p_tip, gap, crosses = np.nan, x, np.nan, False
             if pose is not None:
                 step, p_tip, gap, crosses = self._step(rule, surface, options, pose)
-            found.append(Trial(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses))
+            found.append(Forecast(rule, len(planes), leaking, blocked, step, p_tip, gap, crosses))
         return tuple(found)
 
     def _step(
         self, rule: str, surface: vf.Surface, options: Options, pose: Pose
     ) -> tuple[float, FloatArray, float, bool]:
-        """What the next tick would do: see `Trial`."""
+        """What the next tick would do: see `Forecast`."""
         made = self._controller(rule, options).step(pose.q, pose.target)
         start = np.array(self._arm.tip(pose.q).translation)
         p_tip = np.array(made.tip.translation)
         move = p_tip - start
         step = float(np.linalg.norm(move))
-        near = surface.within(0.5 * (start + p_tip), 0.5 * step + 1e-9).triangles
+        near = boxes.near(boxes.of(surface), start, p_tip, 1e-9)
         met = distances(surface.vertices[surface.faces[near]], start, move)
         return step, p_tip, surface.nearest(p_tip)[0], bool(step > 0.0 and (met <= 1.0).any())
 

@@ -11,6 +11,7 @@ from app.view import palette
 from app.view.inspector.inspection import Inspection, Subject
 from app.view.inspector.region import Region
 from app.view.inspector.words import states
+from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
@@ -22,10 +23,10 @@ DOT = 0.06  # size of the closest point's dot, of the sphere's radius
 class NearDrawing:
     """What the inspector adds to the anatomy. What did not change is not sent again."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._meshes = {
             state: _mesh(api, f"/inspector/near/{state.name.lower()}", look.color)
-            for state, look in palette.STATES.items()
+            for state, look in palette.TRIANGLE_STATES.items()
         }
         self._grid = _lines(api, "/inspector/near/grid", (90, 90, 90), 1.0)
         self._outline = _lines(api, "/inspector/chosen/outline", palette.BLACK, 5.0)
@@ -40,11 +41,9 @@ class NearDrawing:
             receive_shadow=False,
             visible=False,
         )
-        self._name = api.add_label(
-            "/inspector/chosen/name", "", anchor="bottom-left", font_screen_scale=0.8, visible=False
-        )
+        self._name = labels.add("/inspector/chosen/name", anchor="bottom-left")
         self._region = _mesh(api, "/inspector/region", palette.SPHERE, opacity=0.45)
-        self._shown: dict[palette.State, bytes] = {}
+        self._shown: dict[palette.TriangleState, bytes] = {}
         self._grid_shown = b""
         self._solid: Region | None = None
         self._surface: vf.Surface | None = None
@@ -52,11 +51,10 @@ class NearDrawing:
 
     def hide(self) -> None:
         """Take everything away until the next `draw`."""
-        chosen = (
-            self._outline, self._neighbours, self._foot, self._feet, self._dot, self._name
-        )  # fmt: skip
+        chosen = self._outline, self._neighbours, self._foot, self._feet, self._dot
         for node in (*self._meshes.values(), self._grid, *chosen, self._region):
             node.visible = False
+        self._name.visible = False
         self._shown, self._grid_shown, self._solid = {}, b"", None
 
     def draw(self, inspection: Inspection, chosen: int) -> None:
@@ -96,9 +94,9 @@ class NearDrawing:
 
     def _draw_chosen(self, subject: Subject, explanation: vf.Explanation, chosen: int) -> None:
         if chosen < 0:
-            for node in (self._outline, self._neighbours, self._foot, self._dot, self._name):
+            for node in (self._outline, self._neighbours, self._foot, self._dot, self._feet):
                 node.visible = False
-            self._feet.visible = False
+            self._name.visible = False
             return
         report = explanation.of(chosen)
         self._outline.points = to_buffer(
@@ -113,8 +111,9 @@ class NearDrawing:
         self._dot.scale = float(to_view(0.5 * DOT * subject.radius))
         self._name.position = to_view(report.point)
         self._name.text = subject.name(chosen)
-        for node in (self._outline, self._foot, self._dot, self._name):
+        for node in (self._outline, self._foot, self._dot):
             node.visible = True
+        self._name.visible = True
         # In a case, everybody's closest point tells the story.
         self._feet.visible = bool(subject.names)
         if subject.names:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import vf
 from app.scene.scene import Scene
 from app.settings import Options
-from app.view.inspector.compare import Comparison, Pose, Trials
+from app.view.inspector.compare import Comparison, Forecasts, Pose
 from app.view.inspector.region import Region, allowed_region
 
 FloatArray = NDArray[np.float64]
@@ -30,9 +30,9 @@ class Subject:
         radius: of the motion sphere [m].
         options: the session's: standoff, tip radius and the like.
         rule: whose planes are in force there, or shown at the probe.
-        scene: whose arm makes the trial steps.
+        scene: whose arm makes the steps of the forecasts.
         step: the tick that is shown; None for a probe.
-        pose: to make trial steps from; None for a probe, or without a proxy.
+        pose: to make them from; None for a probe, or without a proxy.
         names: of triangles, where they have any.
         tick: number of the tick that is shown.
     """
@@ -100,8 +100,8 @@ class Inspection:
         planes: of the rule in force, as of the tick, or as they would be at the probe.
         multipliers: (m,) how far each of the planes pushed the tip back in the tick [m].
         region: the allowed region, None: not asked for.
-        trials: of every rule, None: not asked for. All are of one moment, which may be an earlier
-            one than the subject's: comparing takes long.
+        forecasts: of every rule, None: not asked for. All are of one moment, which may be
+            an earlier one than the subject's: comparing takes long.
         settled: asking the same once more would change nothing.
     """
 
@@ -110,7 +110,7 @@ class Inspection:
     planes: vf.Planes
     multipliers: FloatArray
     region: Region | None
-    trials: Trials | None
+    forecasts: Forecasts | None
     settled: bool = True
 
     def leaning(self, triangle: int) -> tuple[float, float]:
@@ -162,26 +162,28 @@ class Inspector:
             if last is not None and same and _equal(last.planes, planes):
                 region = last.region
             region = region or allowed_region(planes, subject.x)
-        trials, settled = None, True
+        forecasts, settled = None, True
         if question.comparison:
             alike = last is not None and last.subject.same_setting(subject)
-            trials = last.trials if last is not None and alike else None
+            forecasts = last.forecasts if last is not None and alike else None
             due = time.monotonic() > self._compared + SLOW
             settled = last is not None and last.settled and question.same(self._question)
-            if trials is None or (due and not settled):
-                trials, settled = self._compare(subject), True
+            if forecasts is None or (due and not settled):
+                forecasts, settled = self._compare(subject), True
                 self._compared = time.monotonic()
         self._question = question
-        self._last = Inspection(subject, explanation, planes, multipliers, region, trials, settled)
+        self._last = Inspection(
+            subject, explanation, planes, multipliers, region, forecasts, settled
+        )
         return self._last
 
-    def _compare(self, subject: Subject) -> Trials:
+    def _compare(self, subject: Subject) -> Forecasts:
         if self._comparison is None or self._comparison[0] is not subject.scene:
             self._comparison = subject.scene, Comparison(subject.scene)
-        found = self._comparison[1].trials(
+        found = self._comparison[1].forecasts(
             subject.surface, subject.x, subject.radius, subject.options, subject.pose
         )
-        return Trials(subject.x, subject.tick, found)
+        return Forecasts(subject.x, subject.tick, found)
 
 
 def _equal(a: vf.Planes, b: vf.Planes) -> bool:

@@ -12,6 +12,7 @@ from app.view.camera import DIRECTION, FIELD_OF_VIEW, View
 from app.view.fixture import FixtureDrawing
 from app.view.inspector import figures
 from app.view.inspector.inspection import Inspection
+from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +26,7 @@ ASIDE = 0.6
 class Probe:
     """A yellow dot with a small gizmo of its own; it moves nothing but itself."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self.gizmo = api.add_transform_controls(
             "/probe/gizmo",
             scale=GIZMO_SIZE,
@@ -44,10 +45,8 @@ class Probe:
             receive_shadow=False,
             visible=False,
         )
-        self._name = api.add_label(
-            "/probe/name", "probe", anchor="bottom-right", font_screen_scale=0.8, visible=False
-        )
-        self._fixture = FixtureDrawing(api, "/probe/fixture")
+        self._name = labels.add("/probe/name", "probe", anchor="bottom-right")
+        self._fixture = FixtureDrawing(api, labels, "/probe/fixture")
         self._fixture.show_triangles = False  # the inspector draws them
         self._fixture.inspected = True
         self._fixture.hide()
@@ -63,14 +62,16 @@ class Probe:
             visible=False,
         )
         self._case_names = [
-            api.add_label(f"/probe/{name}", name, anchor="center-center", visible=False)
+            labels.add(f"/probe/{name}", name, anchor="center-center", scale=1.0)
             for name in figures.NAMES.values()
         ]
 
     def hide(self) -> None:
         """Take everything away."""
-        for node in (self.gizmo, self._ball, self._name, self._case, *self._case_names):
+        for node in (self.gizmo, self._ball, self._case):
             node.visible = False
+        for label in (self._name, *self._case_names):
+            label.visible = False
         self._fixture.hide()
 
     def put(self, x: FloatArray) -> None:
@@ -79,8 +80,9 @@ class Probe:
 
     def show_case(self, case: figures.Case | None, R: FloatArray, origin: FloatArray) -> None:
         """Draw the two triangles of a case, turned and placed; None: no case."""
-        for node in (self._case, *self._case_names):
-            node.visible = case is not None
+        self._case.visible = case is not None
+        for name in self._case_names:
+            name.visible = case is not None
         if case is None:
             return
         vertices, faces = figures.shape(case)
@@ -98,8 +100,7 @@ class Probe:
         self._ball.scale = float(to_view(BALL * subject.radius))
         self._ball.position = to_view(subject.x)
         self._name.position = to_view(subject.x)
-        for node in (self.gizmo, self._ball, self._name):
-            node.visible = True
+        self.gizmo.visible = self._ball.visible = self._name.visible = True
         self._fixture.draw(
             subject.x, subject.radius, inspection.planes, inspection.multipliers, subject.surface
         )

@@ -40,7 +40,7 @@ EMPTY = Region(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), 0.0)
 def allowed_region(planes: vf.Planes, x: FloatArray) -> Region:
     """Ball ∩ half-spaces around x (3,), the ball as a polyhedron *inside* it.
 
-    Nothing drawn is forbidden, then; 2.8 % of the ball's volume is not drawn.
+    Nothing drawn is forbidden, then; 2.0 % of the ball's volume is not drawn.
     """
     radius = planes.radius
     if radius <= 0.0:

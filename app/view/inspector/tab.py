@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 
 import vf
 from app.control.messages import Telemetry
+from app.recording.playback import Moment
 from app.scene.scene import Scene
 from app.view import camera
-from app.view.feature import Stage
+from app.view.context import PageContext
 from app.view.inspector import figures, words
 from app.view.inspector.compare import Pose
 from app.view.inspector.drawing import NearDrawing
 from app.view.inspector.inspection import Inspection, Inspector, Question, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.probe import Probe, beside, case_view
+from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, pose_from_view
 from app.view.worker import Worker
 
@@ -31,7 +33,7 @@ ASK = 0.08  # shortest time between two questions to the thread [s]
 HERE = "this anatomy"
 BACK, MAIN, ON = "◀", "Main", "▶"
 RULES = ("paper", "certified", "all")  # whose planes are shown at the probe
-FARTHEST = 2.0  # a probe farther than this from the base is a mistake [m]
+FARTHEST_PROBE = 2.0  # a probe farther than this from the base is a mistake [m]
 
 _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-soft)"
 _INTRO = (
@@ -40,19 +42,19 @@ _INTRO = (
 )
 
 
-class InspectorTab:
-    """A part of the page, see `app.view.feature`. Shared by all who look on.
+class InspectorTab(Part):
+    """A part of the page, see `app.view.part`. Shared by all who look on.
 
     Clicks come on the event loop and only change a few attributes, each at once; the view thread
     reads them. Orders to the session go through the hand.
     """
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage = stage
-        self._scene = stage.session.scene
+    def __init__(self, context: PageContext) -> None:
+        self._context = context
+        self._scene = context.session.scene
         self._worker: Worker[Question, Inspection] = Worker("inspector", Inspector().answer)
-        self._near = NearDrawing(stage.server.scene)
-        self._probe = Probe(stage.server.scene)
+        self._near = NearDrawing(context.server.scene, context.labels)
+        self._probe = Probe(context.server.scene, context.labels)
         self._on = False
         self._drawn: tuple[Inspection, int] | None = None
         self._asked = 0.0  # when [s]
@@ -68,8 +70,8 @@ class InspectorTab:
         self._surface = self._scene.surface  # what the probe moves over
         self._probe_at = np.zeros(3)  # replaced as a whole
         self._rule = RULES[0]
-        with stage.left.add_tab("Inspector"):
-            self._controls(stage.server.gui)
+        with context.left.add_tab("Inspector"):
+            self._controls(context.server.gui)
 
     # What the page calls, from the view thread
 
@@ -82,12 +84,13 @@ class InspectorTab:
         self._near.hide()
         self._drawn = self._step = None
 
-    def frame(self, telemetry: Telemetry) -> None:
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        telemetry = shown.telemetry
         self._step = telemetry.step
-        fixture = self._stage.fixture
+        fixture = self._context.fixture
         fixture.inspected = self._on
         fixture.withdrawn = self._on and self._exploring
-        self._stage.proxy.withdrawn = fixture.withdrawn
+        self._context.proxy.withdrawn = fixture.withdrawn
         if self._probing and not self._exploring:
             self._probe.hide()
         self._probing = self._exploring
@@ -118,9 +121,9 @@ class InspectorTab:
         if self._exploring:
             self._probe.draw(inspection)
 
-    def read_out(self, telemetry: Telemetry) -> None:
+    def read_out(self, shown: Moment) -> None:
         self._freeze.value = self._exploring
-        self._freeze.disabled = self._cases.disabled = not self._stage.screen.live
+        self._freeze.disabled = self._cases.disabled = not self._context.screen.live
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
         self._intro.visible = not self._on
@@ -134,8 +137,8 @@ class InspectorTab:
         self._list.content = words.nearest(inspection, chosen)
         self._solid.content = words.region(inspection) if self._region else ""
         self._rules.content = (
-            words.comparison(inspection.trials)
-            if inspection.trials is not None and self._comparing
+            words.comparison(inspection.forecasts)
+            if inspection.forecasts is not None and self._comparing
             else ""
         )
 
@@ -155,7 +158,7 @@ class InspectorTab:
 
     def _subject(self, telemetry: Telemetry) -> Subject | None:
         # Of what is shown, which a replay puts in the session's place.
-        options, scene, step = self._stage.screen.shown.options, self._scene, telemetry.step
+        options, scene, step = self._context.screen.shown.options, self._scene, telemetry.step
         if step is None or telemetry.scene != scene.version:
             return None
         if not self._exploring:
@@ -243,14 +246,14 @@ class InspectorTab:
         @control.on_update
         async def _updated(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:  # None: we set it ourselves
-                self._stage.hand.submit(take, event.client, event.target.value)
+                self._context.hand.submit(take, event.client, event.target.value)
 
     def _set(self, region: bool | None = None, comparing: bool | None = None) -> None:
         self._region = self._region if region is None else region
         self._comparing = self._comparing if comparing is None else comparing
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
-        scene = self._stage.server.scene
+        scene = self._context.server.scene
         if on == self._on:
             return
         if on:
@@ -262,7 +265,7 @@ class InspectorTab:
         self._on = on
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
-        self._stage.hand.submit(self._pick, event.ray_origin, event.ray_direction)
+        self._context.hand.submit(self._pick, event.ray_origin, event.ray_direction)
 
     def _pick(self, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
         surface = self._surface if self._exploring else self._scene.surface
@@ -321,7 +324,7 @@ class InspectorTab:
         camera.move(client, case_view(R, origin))
 
     def _start_exploring(self, client: viser.ClientHandle) -> None:
-        session = self._stage.session
+        session = self._context.session
         self._resume = not session.latest().paused
         session.pause()
         self._switch(client, True)
@@ -349,7 +352,7 @@ class InspectorTab:
         self._surface = self._scene.surface
         self._expect.content = ""
         if self._resume:
-            self._stage.hand.submit(self._stage.session.resume)
+            self._context.hand.submit(self._context.session.resume)
 
     def _put(self, x: FloatArray) -> None:
         self._probe_at = x
@@ -360,7 +363,7 @@ class InspectorTab:
             x = pose_from_view(wxyz, position).translation
         except ValueError:
             return
-        if self._exploring and float(np.linalg.norm(x)) < FARTHEST:
+        if self._exploring and float(np.linalg.norm(x)) < FARTHEST_PROBE:
             self._probe_at = np.array(x)
 
 

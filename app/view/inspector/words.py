@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.view import palette
 from app.view.fixture import LEANING
-from app.view.inspector.compare import Trials
+from app.view.inspector.compare import Forecasts
 from app.view.inspector.inspection import Inspection, Subject
 from vf import Cover, Edge, Feature, Rule, TriangleReport, Verdict
 
@@ -18,16 +18,16 @@ NEAREST = 8  # rows of the list of triangles
 _BOX = "margin:0 .75em .5em;font-size:12px;line-height:1.35"
 _SMALL = "color:var(--vf-faint);font-size:11px"
 
-STATES = tuple(palette.STATES)
+STATES = tuple(palette.TRIANGLE_STATES)
 _BY_CONDITION = {
-    Verdict.FACE: palette.State.FACE,
-    Verdict.RIDGE: palette.State.RIDGE,
-    Verdict.SHARED: palette.State.RIDGE,
-    Verdict.VALLEY: palette.State.VALLEY,
+    Verdict.FACE: palette.TriangleState.FACE,
+    Verdict.RIDGE: palette.TriangleState.RIDGE,
+    Verdict.SHARED: palette.TriangleState.RIDGE,
+    Verdict.VALLEY: palette.TriangleState.VALLEY,
 }
 _BY_VERDICT = np.array(
     [
-        STATES.index(_BY_CONDITION.get(Verdict(v), palette.State.INACTIVE)) if v else -1
+        STATES.index(_BY_CONDITION.get(Verdict(v), palette.TriangleState.INACTIVE)) if v else -1
         for v in range(max(Verdict) + 1)
     ]
 )
@@ -123,7 +123,7 @@ def triangle(inspection: Inspection, chosen: int) -> str:
         return _box("No triangle in the motion sphere. Click one, or move nearer.")
     report = explanation.of(chosen)
     row = explanation.row(chosen)
-    state = palette.STATES[state_of(report)]
+    state = palette.TRIANGLE_STATES[state_of(report)]
     rank = f"no. {row + 1:,} of {explanation.total:,} by distance" if row >= 0 else state.name
     side = "in front" if report.height >= 0.0 else "behind"
     rows = [
@@ -160,7 +160,7 @@ def nearest(inspection: Inspection, chosen: int) -> str:
     first = max(0, min(explanation.row(chosen) - NEAREST // 2, len(explanation) - NEAREST))
     lines = []
     for report in explanation[first : first + NEAREST]:
-        state = palette.STATES[state_of(report)]
+        state = palette.TRIANGLE_STATES[state_of(report)]
         push, _ = inspection.leaning(report.triangle)
         mark = "background:var(--vf-plate);font-weight:600" if report.triangle == chosen else ""
         pushes = " ◀" if push > LEANING else ""
@@ -184,9 +184,9 @@ def nearest(inspection: Inspection, chosen: int) -> str:
     return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
 
 
-def comparison(compared: Trials) -> str:
+def comparison(compared: Forecasts) -> str:
     """The rules side by side: columns are rules, as there are fewer of them than lines fit."""
-    trials, x = compared.of, compared.x
+    forecasts, x = compared.of, compared.x
     cell = "padding:0 0 0 4px;text-align:right;white-space:nowrap"
 
     def line(name: str, values: list[str], hint: str) -> str:
@@ -194,37 +194,37 @@ def comparison(compared: Trials) -> str:
         head = f"<tr title='{html.escape(hint)}'><td style='color:var(--vf-soft)'>{name}</td>"
         return f"{head}{cells}</tr>"
 
-    head = "".join(f"<th style='{cell};font-weight:600'>{t.rule}</th>" for t in trials)
+    head = "".join(f"<th style='{cell};font-weight:600'>{t.rule}</th>" for t in forecasts)
     lines = [
-        line("planes", [f"{t.planes:,}" for t in trials], "how many half-spaces"),
+        line("planes", [f"{t.planes:,}" for t in forecasts], "how many half-spaces"),
         line(
             "leak",
-            [_alarm(_percent(t.leaking), t.leaking > 0.0) for t in trials],
+            [_alarm(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
             "share of the surface in the sphere on the allowed side of every plane (sampled)",
         ),
         line(
             "blocked",
-            [_percent(t.blocked) for t in trials],
+            [_percent(t.blocked) for t in forecasts],
             "share of the free space in the sphere that the planes forbid (sampled)",
         ),
     ]
-    if any(np.isfinite(t.step) for t in trials):
+    if any(np.isfinite(t.step) for t in forecasts):
         lines += [
             line(
                 "step, µm",
-                [f"{t.step * 1e6:.0f}" for t in trials],
+                [f"{t.step * 1e6:.0f}" for t in forecasts],
                 "how far the tip would go in the next tick",
             ),
             line(
                 "end gap, µm",
-                [_alarm(f"{t.gap * 1e6:.0f}", t.crosses) for t in trials],
+                [_alarm(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
                 "from where it would go to the surface",
             ),
         ]
-        crossing = [t.rule for t in trials if t.crosses]
+        crossing = [t.rule for t in forecasts if t.crosses]
         note = f"Would go through the surface: {', '.join(crossing)}." if crossing else ""
         moves = "<br>".join(
-            f"{t.rule}: ({', '.join(f'{c * 1e6:+.0f}' for c in t.p_tip - x)}) µm" for t in trials
+            f"{t.rule}: ({', '.join(f'{c * 1e6:+.0f}' for c in t.p_tip - x)}) µm" for t in forecasts
         )
         moves = f"<div style='{_SMALL}'>Tip would move by (x, y, z)<br>{moves}</div>"
     else:
@@ -252,7 +252,7 @@ def region(inspection: Inspection) -> str:
     )
 
 
-def state_of(report: TriangleReport) -> palette.State:
+def state_of(report: TriangleReport) -> palette.TriangleState:
     """Which colour a triangle has."""
     return STATES[int(states(np.array([report.verdict]), np.array([report.cover]))[0])]
 
@@ -260,8 +260,8 @@ def state_of(report: TriangleReport) -> palette.State:
 def states(verdicts: NDArray[np.int8], covers: NDArray[np.int8]) -> NDArray[np.int8]:
     """Places in `STATES` of triangles with these verdicts and covers (k,)."""
     found = _BY_VERDICT[verdicts]
-    only = (found == STATES.index(palette.State.INACTIVE)) & (covers == Cover.GAVE)
-    return np.where(only, STATES.index(palette.State.CERTIFIED), found).astype(np.int8)
+    only = (found == STATES.index(palette.TriangleState.INACTIVE)) & (covers == Cover.GAVE)
+    return np.where(only, STATES.index(palette.TriangleState.CERTIFIED), found).astype(np.int8)
 
 
 def _plane(inspection: Inspection, report: TriangleReport) -> str:
@@ -296,7 +296,7 @@ def _counts(inspection: Inspection) -> str:
     parts = [
         f"<span style='white-space:nowrap'><span style='color:{palette.css(look.color)}'>■</span> "
         f"{html.escape(look.name)}: {(found == k).sum():,}</span>"
-        for k, look in enumerate(palette.STATES.values())
+        for k, look in enumerate(palette.TRIANGLE_STATES.values())
     ]
     return f"<div style='margin-top:4px;font-size:11px'>{' &nbsp;'.join(parts)}</div>"
 

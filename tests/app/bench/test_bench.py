@@ -19,7 +19,7 @@ import vf
 from app.bench import loop, peers, queries, runtime, soak, solvers
 from app.bench.queries import Peer
 from app.bench.tools import reference, report, settings
-from app.bench.tools import route as courses
+from app.bench.tools import route as routes
 from app.bench.tools.machine import write
 from app.commands import call
 from app.words import OptionError
@@ -89,12 +89,12 @@ def test_a_shape_that_will_not_shrink_is_refused(monkeypatch: pytest.MonkeyPatch
 
 def test_the_course_is_free_at_its_start_and_goes_below_the_skin(small: vf.Surface) -> None:
     arm = robots.load("psm")
-    course = courses.plan(small, arm, spots=6)
-    assert len(course.starts) == 6
-    assert course.pits == (True, False) * 3
-    for spot, start in enumerate(course.starts):
-        targets = course.targets(spot)
-        assert len(targets) == courses.TICKS
+    route = routes.plan(small, arm, spots=6)
+    assert len(route.starts) == 6
+    assert route.pits == (True, False) * 3
+    for spot, start in enumerate(route.starts):
+        targets = route.targets(spot)
+        assert len(targets) == routes.TICKS
         np.testing.assert_allclose(
             arm.tip(start).translation, targets[0].translation, atol=1e-6, err_msg=str(spot)
         )
@@ -238,7 +238,7 @@ def test_the_reference_qp_is_the_optimum_of_a_general_solver() -> None:
 
 def test_every_installed_solver_agrees_and_a_wrong_one_is_caught(small: vf.Surface) -> None:
     arm = robots.load("psm")
-    _, problems = peers._met(small, arm, courses.plan(small, arm, spots=2), 12)
+    _, problems = peers._met(small, arm, routes.plan(small, arm, spots=2), 12)
     assert problems
     every = list(range(len(problems)))
     for peer in solvers.peers(problems, {}):

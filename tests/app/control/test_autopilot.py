@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from everyday import everyday
 
 import meshes
 import robots
 import vf
 from app.control.autopilot import DEPTH, Autopilot, plan
+from tests.support.brute import Oracle
+from tests.support.everyday import everyday
 
 NAMES = [name for name in meshes.names() if "fine" not in name]
 
@@ -26,7 +25,7 @@ def tour(name: str) -> tuple[vf.Surface, pin.SE3, Autopilot]:
 
 
 @pytest.mark.parametrize("name", everyday(NAMES, "skull-coarse", "thin-plate"))
-def test_a_tour_is_slow_and_closed_and_goes_in_and_out(name: str, oracle: type[Any]) -> None:
+def test_a_tour_is_slow_and_closed_and_goes_in_and_out(name: str) -> None:
     surface, T, autopilot = tour(name)
     times = np.arange(0.0, autopilot.duration + 0.5, 1e-3)
     poses = [autopilot.pose(t) for t in times]
@@ -45,7 +44,7 @@ def test_a_tour_is_slow_and_closed_and_goes_in_and_out(name: str, oracle: type[A
     for pose in poses[::500]:
         np.testing.assert_array_equal(pose.rotation, T.rotation)
     # In and out again, several times: a poke that does not enter would show nothing.
-    truth = oracle(surface.vertices, surface.faces)
+    truth = Oracle(surface.vertices, surface.faces)
     assert truth.crossings(path[::4]) >= 4
     assert abs(truth.winding(path[0])) < 0.5
 

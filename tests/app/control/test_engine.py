@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,6 +15,7 @@ from app.control.messages import Command, LoopStats
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+from tests.support.headless import moved
 
 OPTIONS = Options(mesh="cube", robot="point")
 STATS = LoopStats()
@@ -45,9 +45,7 @@ def test_without_a_command_the_tool_holds_and_looks(plant: Plant) -> None:
         np.testing.assert_array_equal(telemetry.step.force, 0.0)
 
 
-def test_the_tool_follows_a_free_target_and_stays_there(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_the_tool_follows_a_free_target_and_stays_there(plant: Plant, scene: Scene) -> None:
     goal = moved(scene.T_base_start, dx=0.004, dz=0.003)
     orders = Orders(plant, Command(goal, 1))
     engine = Engine(orders)
@@ -56,9 +54,7 @@ def test_the_tool_follows_a_free_target_and_stays_there(
     np.testing.assert_allclose(plant.arm.tip(telemetry.q).translation, goal.translation, atol=1e-6)
 
 
-def test_a_clutched_tool_holds_without_force(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_a_clutched_tool_holds_without_force(plant: Plant, scene: Scene) -> None:
     goal = moved(scene.T_base_start, dx=0.05)
     engine = Engine(Orders(plant, Command(goal, 1)))
     moving, _ = engine.advance(Orders(plant, Command(goal, 1)), STATS)
@@ -72,7 +68,7 @@ def test_a_clutched_tool_holds_without_force(
 
 
 def test_a_silent_drag_goes_stale_after_its_time_and_a_new_command_wakes_it(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
+    plant: Plant, scene: Scene
 ) -> None:
     plant = replace(plant, stale_after=0.05)
     far = moved(scene.T_base_start, dz=0.2)  # 1 s of free way up at 0.2 m/s
@@ -91,18 +87,14 @@ def test_a_silent_drag_goes_stale_after_its_time_and_a_new_command_wakes_it(
     assert np.abs(woken.q - seen[-1].q).max() > 0
 
 
-def test_a_proxy_that_was_let_go_never_goes_stale(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_a_proxy_that_was_let_go_never_goes_stale(plant: Plant, scene: Scene) -> None:
     plant = replace(plant, stale_after=0.05)
     orders = Orders(plant, Command(moved(scene.T_base_start, dz=0.2), 1, held=False))
     engine = Engine(orders)
     assert not any(engine.advance(orders, STATS)[0].stale for _ in range(200))
 
 
-def test_pause_moves_nothing_and_a_single_step_is_one_tick(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_pause_moves_nothing_and_a_single_step_is_one_tick(plant: Plant, scene: Scene) -> None:
     run = Orders(plant, Command(moved(scene.T_base_start, dx=0.1), 1))
     engine = Engine(run)
     before, _ = engine.advance(run, STATS)
@@ -123,9 +115,7 @@ def test_pause_moves_nothing_and_a_single_step_is_one_tick(
     assert not engine.advance(replace(paused, steps=9), STATS)[1]
 
 
-def test_reset_goes_back_to_the_start(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_reset_goes_back_to_the_start(plant: Plant, scene: Scene) -> None:
     run = Orders(plant, Command(moved(scene.T_base_start, dx=0.1), 1))
     engine = Engine(run)
     for _ in range(20):
@@ -136,9 +126,7 @@ def test_reset_goes_back_to_the_start(
     assert telemetry.tick == 21
 
 
-def test_a_reset_while_paused_is_seen_at_once(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_a_reset_while_paused_is_seen_at_once(plant: Plant, scene: Scene) -> None:
     run = Orders(plant, Command(moved(scene.T_base_start, dx=0.1), 1))
     engine = Engine(run)
     for _ in range(20):
@@ -158,10 +146,7 @@ class Broken:
 
 
 def test_a_controller_that_raises_is_a_held_tick_logged_once(
-    plant: Plant,
-    scene: Scene,
-    moved: Callable[..., pin.SE3],
-    caplog: pytest.LogCaptureFixture,
+    plant: Plant, scene: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = Orders(plant, Command(moved(scene.T_base_start, dx=0.1), 1))
     engine = Engine(run)
@@ -181,9 +166,7 @@ def test_a_controller_that_raises_is_a_held_tick_logged_once(
     assert np.abs(back.q - good.q).max() > 0
 
 
-def test_a_new_scene_keeps_the_tool_only_where_it_is_free(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_a_new_scene_keeps_the_tool_only_where_it_is_free(plant: Plant, scene: Scene) -> None:
     goal = moved(scene.T_base_start, dz=-0.01)
     run = Orders(plant, Command(goal, 1))
     engine = Engine(run)
@@ -205,9 +188,7 @@ def test_a_new_scene_keeps_the_tool_only_where_it_is_free(
     np.testing.assert_array_equal(stuck.q, plant.q0)
 
 
-def test_arrays_that_leave_the_engine_are_read_only(
-    plant: Plant, scene: Scene, moved: Callable[..., pin.SE3]
-) -> None:
+def test_arrays_that_leave_the_engine_are_read_only(plant: Plant, scene: Scene) -> None:
     for target in (None, moved(scene.T_base_start, dz=-0.03)):
         orders = Orders(plant, Command(target, 1))
         engine = Engine(orders)

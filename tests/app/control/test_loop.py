@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,9 +22,9 @@ from app.control.messages import Command
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+from tests.support.headless import Tape, wait_until
 
 OPTIONS = Options(mesh="cube", robot="point")
-Wait = Callable[[Callable[[], bool]], None]
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +56,8 @@ class Broken:
         raise RuntimeError("this controller is broken")
 
 
-def test_every_tick_is_published_once_and_in_order(
-    plant: Plant, tape: type[Mailbox], wait_until: Wait
-) -> None:
-    out = tape()
+def test_every_tick_is_published_once_and_in_order(plant: Plant) -> None:
+    out = Tape()
     loop = ControlLoop(Mailbox(Orders(plant, Command(None, 0))), out, plant.dt)
     loop.start()
     wait_until(lambda: out.get().tick >= 300)
@@ -68,12 +65,10 @@ def test_every_tick_is_published_once_and_in_order(
     assert [t.tick for t in out.items] == list(range(len(out.items)))
 
 
-def test_ticks_that_take_too_long_are_counted_and_never_made_up(
-    plant: Plant, tape: type[Mailbox], wait_until: Wait
-) -> None:
+def test_ticks_that_take_too_long_are_counted_and_never_made_up(plant: Plant) -> None:
     slow = Slow(plant.controller, 4.0 * plant.dt)
     inbox = Mailbox(Orders(replace(plant, controller=slow), Command(None, 0)))
-    out = tape()
+    out = Tape()
     loop = ControlLoop(inbox, out, plant.dt)
     loop.start()
     # Long enough for two summaries of the statistics.
@@ -94,11 +89,9 @@ def test_ticks_that_take_too_long_are_counted_and_never_made_up(
     assert ticks * plant.dt <= elapsed + 3.0 * plant.dt
 
 
-def test_statuses_are_counted_and_add_up_to_the_ticks(
-    plant: Plant, scene: Scene, tape: type[Mailbox], wait_until: Wait
-) -> None:
+def test_statuses_are_counted_and_add_up_to_the_ticks(plant: Plant, scene: Scene) -> None:
     inbox = Mailbox(Orders(plant, Command(None, 0)))
-    out = tape()
+    out = Tape()
     loop = ControlLoop(inbox, out, plant.dt)
     loop.start()
     wait_until(lambda: out.get().tick >= 50)
@@ -117,11 +110,9 @@ def test_statuses_are_counted_and_add_up_to_the_ticks(
     assert Counter(statuses[: sum(summary.values())]) == Counter(summary)
 
 
-def test_a_paused_loop_answers_but_does_not_tick(
-    plant: Plant, tape: type[Mailbox], wait_until: Wait
-) -> None:
+def test_a_paused_loop_answers_but_does_not_tick(plant: Plant) -> None:
     orders = Orders(plant, Command(None, 0))
-    inbox, out = Mailbox(orders), tape()
+    inbox, out = Mailbox(orders), Tape()
     loop = ControlLoop(inbox, out, plant.dt)
     loop.start()
     wait_until(lambda: out.get().tick >= 20)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,8 @@ from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
 from app.studies.verification.hands import goals
+from tests.support.brute import Oracle
+from tests.support.headless import wait_until
 
 STATS = LoopStats()
 
@@ -72,9 +73,7 @@ def first_cut(judge: object, tips: list[np.ndarray]) -> int | None:
 
 
 @pytest.mark.parametrize(("name", "leaks"), [("paper", True), ("certified", False)])
-def test_the_scenario_that_shows_the_leak_is_seen_to_leak(
-    name: str, leaks: bool, oracle: Callable[..., object]
-) -> None:
+def test_the_scenario_that_shows_the_leak_is_seen_to_leak(name: str, leaks: bool) -> None:
     scenario = presets.find(f"unclean-mesh-{name}")
     options = replace(scenario.options, rate=200.0)  # a fifth of the ticks show the same
     scene = scenes.build(options, 1)
@@ -83,12 +82,12 @@ def test_the_scenario_that_shows_the_leak_is_seen_to_leak(
     run = Run(replace(scene, autopilot=way), options, autopilot=way)
     run.go(round(way.duration / run.plant.dt), autopilot=True)
     seen = run.seen()
-    judge = oracle(scene.surface.vertices, scene.surface.faces)
+    judge = Oracle(scene.surface.vertices, scene.surface.faces)
     cut = first_cut(judge, run.tips)
     assert (cut is not None) == leaks
     assert (None if seen is None else seen.tick) == cut
     if seen is not None:
-        alone = oracle(scene.surface.vertices, scene.surface.faces[seen.triangle][None])
+        alone = Oracle(scene.surface.vertices, scene.surface.faces[seen.triangle][None])
         assert alone.crossings(np.array(run.tips[seen.tick - 1 : seen.tick + 1]))
         np.testing.assert_array_equal(seen.before, run.tips[seen.tick - 1])
         assert seen.rule == "paper"
@@ -222,7 +221,7 @@ def test_ticks_that_wait_too_long_are_counted(
     assert run.watch.missed == 15
 
 
-def test_a_session_latches_a_crossing_until_its_reset(wait_until: Callable[..., None]) -> None:
+def test_a_session_latches_a_crossing_until_its_reset() -> None:
     with Session(Options(mesh="thin-plate", robot="point", rule="off")) as session:
         wait_until(lambda: session.latest().tick > 10)
         assert session.crossing is None

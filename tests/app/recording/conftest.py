@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from runs import a_run
+
+from tests.support.runs import a_run
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from forgery import MAGIC, Change, blocks, chain, forged, npy, pack
 
 from app.recording import rerun
 from app.recording.format import ROWS, RecordingError
 from app.recording.read import read
+from tests.support.forgery import MAGIC, Change, blocks, chain, forged, npy, pack
 
 # What there is in archives alone.
 ARCHIVED = ("missing", "surplus", "bomb", "sizes", "chunk", "orders", "pickle", "dtype")

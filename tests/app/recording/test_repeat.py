@@ -14,8 +14,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from forgery import forged, npy
-from runs import a_run
 
 import meshes
 from app.commands import call
@@ -26,8 +24,11 @@ from app.recording.format import COMPARED, RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
 from app.scene import scene as scenes
+from app.scene import worker
 from app.session import Session
 from app.settings import Options
+from tests.support.forgery import forged, npy
+from tests.support.runs import a_run
 
 CUBE = Options(mesh="cube", robot="point")
 
@@ -208,6 +209,30 @@ def test_a_scene_like_the_present_one_is_not_built_again(sound: Path) -> None:
     other = scenes.build(replace(CUBE, mesh="stairs"), 8)
     (built,) = playback.build_scenes(recording, 100, like=other)
     assert built.version == 100
+
+
+def test_the_scenes_of_a_replay_are_built_aside_and_can_be_stopped(
+    sound: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = read(sound)
+    here = playback.build_scenes(recording, 100)
+    monkeypatch.setattr(worker, "light", lambda _mesh: False)
+    monkeypatch.setattr(meshes, "read", None)  # nothing can be built in this process
+    words: list[str] = []
+    aside = playback.build_scenes(recording, 100, progress=words.append)
+    assert "starting a process for the mesh" in words
+    for ours, theirs in zip(here, aside, strict=True):
+        assert theirs.version == ours.version
+        assert theirs.surface.checksum == ours.surface.checksum
+        assert theirs.start.tobytes() == ours.start.tobytes()
+        assert playback.Player(recording, aside).moment(0).scene in aside
+    stop = worker.Stop()
+    with pytest.raises(worker.Stopped):
+        playback.build_scenes(recording, 100, progress=lambda _text: stop(), stop=stop)
+    # What is wrong with a recording is said as if it had been found here.
+    other = replace(recording.places[0], checksum="0" * 64)
+    with pytest.raises(RecordingError, match="not the one that was recorded"):
+        playback.build_scenes(replace(recording, places=(other,)), 100)
 
 
 def test_a_replay_plays_pauses_and_seeks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from everyday import everyday
 
 import meshes
 import robots
 import vf
 from app.control.messages import Command, Telemetry
+from app.judges import boxes, oracles
 from app.recording.rerun import run_headless
 from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
+from tests.support.brute import Oracle
+from tests.support.everyday import everyday
+from tests.support.headless import moved, wait_until
 
 
 def joints(run: list[Telemetry]) -> bytes:
@@ -67,12 +69,12 @@ def tip_path(options: Options, run: list[Telemetry]) -> np.ndarray:
     return np.array([arm.tip(telemetry.q).translation for telemetry in run])
 
 
-def check_tour(options: Options, oracle: type[Any]) -> None:
+def check_tour(options: Options) -> None:
     """A whole tour of the autopilot, every tick of it against the whole mesh."""
     scene = scenes.build(options, 1)
     ticks = int(scene.autopilot.duration / options.dt)
     run = run_headless(options, [], ticks, autopilot=True)
-    truth = oracle(scene.surface.vertices, scene.surface.faces)
+    truth = Oracle(scene.surface.vertices, scene.surface.faces)
     path = tip_path(options, run)
     assert truth.crossings(path) == 0
     # The oracle would have noticed: the proxy itself goes in and out.
@@ -90,8 +92,23 @@ def check_tour(options: Options, oracle: type[Any]) -> None:
 
 
 @pytest.mark.parametrize("mesh", everyday(["gear", "thin-plate"], "thin-plate"))
-def test_the_tool_stays_out_for_a_whole_tour(mesh: str, oracle: type[Any]) -> None:
-    check_tour(Options(mesh=mesh), oracle)
+def test_the_tool_stays_out_for_a_whole_tour(mesh: str) -> None:
+    check_tour(Options(mesh=mesh))
+
+
+def test_the_tour_of_the_first_sight_keeps_the_standoff() -> None:
+    """As docs/guide.md says; by the judges' distance, which the planes have nothing to do with."""
+    options = Options()
+    scene = scenes.build(options, 1)
+    run = run_headless(options, [], int(scene.autopilot.duration / options.dt), autopilot=True)
+    around, near = boxes.of(scene.surface), 0
+    for p in tip_path(options, run):
+        triangles = boxes.near(around, p, p, 2.0 * options.standoff)
+        if len(triangles):
+            distance = oracles.distances(scene.surface, triangles, p).min()
+            assert distance >= options.standoff
+            near += distance < 2.0 * options.standoff
+    assert near > 100  # it is pressed on the surface
 
 
 @pytest.mark.slow
@@ -103,16 +120,12 @@ def test_the_tool_stays_out_for_a_whole_tour(mesh: str, oracle: type[Any]) -> No
 # still below when the proxy has left is right, and "follows when free" is the wrong question.
 @pytest.mark.parametrize("mesh", [name for name in meshes.names() if name != "skull-precut"])
 def test_the_tool_stays_out_of_everything_with_every_arm(
-    mesh: str, robot: str, radius: float | None, oracle: type[Any]
+    mesh: str, robot: str, radius: float | None
 ) -> None:
-    check_tour(Options(mesh=mesh, robot=robot, radius=radius), oracle)
+    check_tour(Options(mesh=mesh, robot=robot, radius=radius))
 
 
-def test_a_live_session_is_repeated_from_its_record(
-    tapes: list,
-    wait_until: Callable[[Callable[[], bool]], None],
-    moved: Callable[..., pin.SE3],
-) -> None:
+def test_a_live_session_is_repeated_from_its_record(tapes: list) -> None:
     options = Options(mesh="saddle-slab", robot="psm")
     with Session(options) as session:
         start = session.scene.T_base_start

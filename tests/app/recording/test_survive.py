@@ -9,10 +9,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-import killed
 import numpy as np
 import pytest
 
@@ -23,20 +22,21 @@ from app.recording.read import read
 from app.recording.write import Recorder
 from app.session import Session
 from app.settings import Options
+from tests.support import killed
+from tests.support.headless import wait_until
 
 CUBE = Options(mesh="cube", robot="point")
 ROOT = Path(__file__).parents[3]
-Wait = Callable[[Callable[[], bool]], None]
 
 
 @pytest.fixture(scope="module")
 def processes() -> Iterator[multiprocessing.context.ForkServerContext]:
     """Starts processes that have everything loaded already."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["prepared"])
+    context.set_forkserver_preload(["tests.support.prepared"])
     with pytest.MonkeyPatch.context() as patch:
         # What is to be loaded is looked for there; this process's own path is not handed on.
-        patch.setenv("PYTHONPATH", os.pathsep.join((str(Path(__file__).parent), str(ROOT))))
+        patch.setenv("PYTHONPATH", str(ROOT))
         yield context
     from multiprocessing import forkserver, resource_tracker
 
@@ -53,10 +53,7 @@ def said(folder: Path, stem: str = "run") -> int:
 
 @pytest.mark.parametrize("kills", [6, pytest.param(60, marks=pytest.mark.slow)])
 def test_a_recording_survives_a_kill_at_any_moment(
-    processes: multiprocessing.context.ForkServerContext,
-    tmp_path: Path,
-    wait_until: Wait,
-    kills: int,
+    processes: multiprocessing.context.ForkServerContext, tmp_path: Path, kills: int
 ) -> None:
     rng = np.random.default_rng()
     for k in range(kills):
@@ -98,7 +95,7 @@ def test_the_command_line_says_what_is_left_and_what_is_not(
 
 
 def test_a_second_session_with_this_name_takes_another_and_what_is_there_stays(
-    tmp_path: Path, wait_until: Wait
+    tmp_path: Path,
 ) -> None:
     remains = tmp_path / "run.vfrec"
     with Session(CUBE) as one, Session(CUBE) as two:
@@ -158,9 +155,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(place)], check=True)
 
 
-def test_what_fits_is_kept_on_a_full_disk_and_the_loop_goes_on(
-    small_disk: Path, wait_until: Wait
-) -> None:
+def test_what_fits_is_kept_on_a_full_disk_and_the_loop_goes_on(small_disk: Path) -> None:
     with Session(CUBE) as session:
         (small_disk / "other").write_bytes(bytes(30_000))
         going = session.record(small_disk / "run.vfrec")

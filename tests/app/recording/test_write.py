@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,12 @@ import pytest
 
 from app.recording import capture, rerun
 from app.recording.read import read
-from app.session import Refused, Session
+from app.refused import Refused
+from app.session import Session
 from app.settings import Options
+from tests.support.headless import wait_until
 
 CUBE = Options(mesh="cube", robot="point")
-Wait = Callable[[Callable[[], bool]], None]
 
 
 def test_the_file_holds_what_the_loop_said(tmp_path: Path, tapes: list) -> None:
@@ -54,7 +54,7 @@ def test_a_recording_that_cannot_begin_is_refused_with_the_reason(tmp_path: Path
         assert "Errno" not in str(caught.value)
 
 
-def test_one_recording_at_a_time(tmp_path: Path, wait_until: Wait) -> None:
+def test_one_recording_at_a_time(tmp_path: Path) -> None:
     with Session(CUBE) as session:
         going = session.record(tmp_path / "a.vfrec")
         with pytest.raises(Refused, match="under way"):
@@ -70,7 +70,7 @@ def test_one_recording_at_a_time(tmp_path: Path, wait_until: Wait) -> None:
 
 
 def test_a_writer_that_falls_behind_ends_the_recording_not_the_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Wait
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(capture, "BEHIND", 5)
     monkeypatch.setattr(capture, "PERIOD", 0.1)

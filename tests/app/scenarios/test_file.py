@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -45,6 +44,8 @@ from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options, number
 from app.words import OptionError
+from tests.support.brute import Oracle
+from tests.support.headless import wait_until
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "scenarios.md"
 Played = Callable[[str], tuple[Scene, list[Telemetry]]]
@@ -101,9 +102,9 @@ def test_every_preset_has_a_sentence_of_its_own() -> None:
         assert f"| `{name}` | {scenario.about} |" in DOCUMENT.read_text()
 
 
-def test_the_push_on_the_skull_ends_at_the_standoff(played: Played, oracle: type[Any]) -> None:
+def test_the_push_on_the_skull_ends_at_the_standoff(played: Played) -> None:
     scene, seen = played("push-on-the-skull")
-    truth, path = oracle(scene.surface.vertices, scene.surface.faces), tips(seen)
+    truth, path = Oracle(scene.surface.vertices, scene.surface.faces), tips(seen)
     target, step = seen[-1].target, seen[-1].step
     assert target is not None
     assert step is not None
@@ -114,10 +115,10 @@ def test_the_push_on_the_skull_ends_at_the_standoff(played: Played, oracle: type
     assert np.linalg.norm(step.force) == pytest.approx(1.4, abs=0.05)
 
 
-def test_the_slide_into_the_orbit_ends_in_its_hollow(played: Played, oracle: type[Any]) -> None:
+def test_the_slide_into_the_orbit_ends_in_its_hollow(played: Played) -> None:
     scene, seen = played("slide-into-the-orbit")
     path, surface = tips(seen), scene.surface
-    truth = oracle(surface.vertices, surface.faces)
+    truth = Oracle(surface.vertices, surface.faces)
     assert truth.crossings(path) == 0
     assert abs(truth.winding(path[-1])) < 0.5
     # How deep below a cloth that is spanned over the skull, without using any of its triangles.
@@ -131,10 +132,10 @@ def test_the_slide_into_the_orbit_ends_in_its_hollow(played: Played, oracle: typ
     assert direction @ orbit / np.linalg.norm(direction) / np.linalg.norm(orbit) > 0.99
 
 
-def test_the_thin_plate_is_guarded_from_both_sides(played: Played, oracle: type[Any]) -> None:
+def test_the_thin_plate_is_guarded_from_both_sides(played: Played) -> None:
     scene, seen = played("thin-plate-both-sides")
     path = tips(seen)
-    assert oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
+    assert Oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
     goals = in_mesh(scene, np.array([t.target.translation for t in seen]))  # type: ignore[union-attr]
     height = in_mesh(scene, path)[:, 2]
     pressed = np.flatnonzero((goals[:, 2] < -7e-3) & (goals[:, 0] > -0.0421))[0]
@@ -162,7 +163,7 @@ def test_on_the_saddle_there_are_ridges_and_valleys(played: Played) -> None:
 
 
 def test_on_the_unclean_mesh_the_papers_rule_fails_and_the_certified_one_holds(
-    played: Played, oracle: type[Any]
+    played: Played,
 ) -> None:
     (scene, failed), (other, held) = (
         played("unclean-mesh-paper"), played("unclean-mesh-certified"),
@@ -170,7 +171,7 @@ def test_on_the_unclean_mesh_the_papers_rule_fails_and_the_certified_one_holds(
     np.testing.assert_array_equal(scene.surface.vertices, other.surface.vertices)
     for a, b in zip(failed[::25], held[::25], strict=True):
         assert a.target == b.target
-    truth = oracle(scene.surface.vertices, scene.surface.faces)
+    truth = Oracle(scene.surface.vertices, scene.surface.faces)
     assert truth.crossings(tips(failed)) >= 2  # in through the outer and out of the inner side
     assert truth.crossings(tips(held)) == 0
     # The clean skull tells where it all ended: within the head, and outside the bone.
@@ -178,17 +179,17 @@ def test_on_the_unclean_mesh_the_papers_rule_fails_and_the_certified_one_holds(
     goal = held[-1].target
     assert goal is not None
     assert np.linalg.norm(tips(failed)[-1] - goal.translation) < 1e-5
-    outside = oracle(clean.vertices, clean.faces)
+    outside = Oracle(clean.vertices, clean.faces)
     assert outside.crossings(np.array([tips(held)[-1], goal.translation])) == 1
     assert abs(outside.winding(tips(held)[-1])) < 0.5
 
 
 @pytest.mark.slow
-def test_the_million_triangles_are_all_in_force(played: Played, oracle: type[Any]) -> None:
+def test_the_million_triangles_are_all_in_force(played: Played) -> None:
     scene, seen = played("million-triangles")
     assert f"{len(scene.surface.faces) // 1000} thousand" in PRESETS["million-triangles"].about
     path = tips(seen)
-    assert oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
+    assert Oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
     sliding = [k for k, t in enumerate(seen) if leaned(t)]
     assert np.linalg.norm(np.diff(path[sliding], axis=0), axis=1).sum() > 0.02
 
@@ -315,8 +316,7 @@ def test_a_scenario_names_no_file_outside_its_folder(key: str, tmp_path: Path) -
     (here / "inner.stl").symlink_to(here / "bone.stl")
     for name in (
         "../secret.stl", "deep/../../secret.stl", "./../secret.stl", str(secret), "link.stl",
-        "way/secret.stl", "/dev/zero", "deep/../bone.stl",
-    ):  # fmt: skip
+        "way/secret.stl", "/dev/zero", "deep/../bone.stl"):  # fmt: skip
         with pytest.raises(ScenarioError, match=rf'^"{key}": .*in the scenario\'s own folder'):
             loads(changed(**{key: name}), here)
     for name in ("bone.stl", "./bone.stl", "deep/bone.stl", "inner.stl", "..bone.stl"):
@@ -512,9 +512,7 @@ def test_a_course_passes_its_waypoints_at_rest() -> None:
         assert np.linalg.norm(at(t + 1e-3) - at(max(t - 1e-3, 0.0))) < 1e-7
 
 
-def test_a_session_is_brought_into_a_scenario_and_says_which_it_is_in(
-    wait_until: Callable[..., None],
-) -> None:
+def test_a_session_is_brought_into_a_scenario_and_says_which_it_is_in() -> None:
     with Session(Options(mesh="cube", robot="point", rate=2000.0)) as session:
         stage(PRESETS["thin-plate-both-sides"], session)
         assert session.options.mesh == "thin-plate"
@@ -537,9 +535,7 @@ def test_a_session_is_brought_into_a_scenario_and_says_which_it_is_in(
         )
 
 
-def test_a_proxy_put_down_by_hand_is_saved_and_found_again_elsewhere(
-    wait_until: Callable[..., None],
-) -> None:
+def test_a_proxy_put_down_by_hand_is_saved_and_found_again_elsewhere() -> None:
     turn = pin.SE3(pin.utils.rotate("y", 0.3), np.zeros(3))
     options = Options(mesh="cube", rotate=(0.0, 0.0, 0.7), rule="off", scale=0.2)
     with Session(options) as session:
@@ -567,9 +563,7 @@ def test_a_proxy_put_down_by_hand_is_saved_and_found_again_elsewhere(
         np.testing.assert_allclose(session.handle.homogeneous, again.homogeneous, atol=1e-9)
 
 
-def test_a_recorded_scenario_is_repeated_bit_for_bit(
-    tmp_path: Path, wait_until: Callable[..., None]
-) -> None:
+def test_a_recorded_scenario_is_repeated_bit_for_bit(tmp_path: Path) -> None:
     with Session(Options(mesh="cube", robot="point")) as session:
         tape = session.record(tmp_path / "plate.vfrec")
         stage(PRESETS["thin-plate-both-sides"], session)

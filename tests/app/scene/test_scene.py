@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from app.control.engine import is_free
 from app.scene import scene as scenes
 from app.scene.scene import free_start
 from app.settings import Options
+from tests.support.brute import Oracle
 
 
 def around_the_tip(arm: robots.Arm, solid: trimesh.Trimesh) -> vf.Surface:
@@ -34,9 +34,7 @@ def test_the_neutral_pose_is_kept_where_it_is_free(robot: str) -> None:
 
 @pytest.mark.parametrize("clearance", [2e-5, 3e-3])
 @pytest.mark.parametrize("robot", robots.names())
-def test_a_tool_inside_the_anatomy_is_given_a_spot_outside(
-    robot: str, clearance: float, oracle: type[Any]
-) -> None:
+def test_a_tool_inside_the_anatomy_is_given_a_spot_outside(robot: str, clearance: float) -> None:
     arm = robots.load(robot)
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
     surface = around_the_tip(arm, ball)
@@ -44,7 +42,7 @@ def test_a_tool_inside_the_anatomy_is_given_a_spot_outside(
     tip = arm.tip(q).translation
     assert (q >= arm.lower).all()
     assert (q <= arm.upper).all()
-    assert abs(oracle(surface.vertices, surface.faces).winding(tip)) < 0.5
+    assert abs(Oracle(surface.vertices, surface.faces).winding(tip)) < 0.5
     away = np.linalg.norm(tip - arm.tip(arm.neutral).translation) - 0.02
     assert clearance < away + 1e-12
     assert away < 0.03  # no farther than it needs to be

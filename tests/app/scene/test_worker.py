@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 import signal
@@ -27,6 +26,9 @@ from app.scene.measure import measure
 from app.session import Session
 from app.settings import Options
 from meshes.units import choices
+from tests.support import work_for_tests
+
+ROOT = Path(__file__).parents[3]
 
 HEAVY = Options(mesh="skull-coarse", robot="point")
 
@@ -116,11 +118,9 @@ def test_a_listener_that_raises_ends_the_process(monkeypatch: pytest.MonkeyPatch
 @pytest.fixture
 def work(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Functions that this process and the one aside know."""
-    here = str(Path(__file__).parent)
-    monkeypatch.syspath_prepend(here)
     known = os.environ.get("PYTHONPATH")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, *([known] if known else [])]))
-    return importlib.import_module("work_for_tests")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), *([known] if known else [])]))
+    return work_for_tests
 
 
 PLENTY = worker.Allowance(60.0, 4e9)
@@ -186,7 +186,7 @@ def test_a_session_goes_on_when_its_change_is_stopped_or_too_much(
     with Session(Options(mesh="cube", robot="point")) as session:
         scene, options = session.scene, session.options
         with pytest.raises(worker.Stopped):
-            session.change(**wanted, progress=lambda _text: session.stop_change())
+            session.change(**wanted, progress=lambda _text: session.work.stop())
         monkeypatch.setattr(worker, "allowance", lambda _mesh: worker.Allowance(60.0, 1e6))
         with pytest.raises(ValueError, match="memory"):
             session.change(**wanted)

@@ -14,9 +14,10 @@ import pytest
 import trimesh
 
 import vf
+from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.outside import shows_fronts_only
-from app.session import Refused, Session
+from app.session import Session
 from app.settings import Options
 from app.view import Page, camera, fields, section
 from app.view.escape import Escape
@@ -25,8 +26,7 @@ from app.view.keys import STEPS, Keys, seen_from
 from app.view.script import adding, script
 from app.view.units import VIEW_SCALE
 from app.view.views import Views
-
-WaitUntil = Callable[..., None]
+from tests.support.headless import wait_until
 
 
 class Handle:
@@ -98,7 +98,7 @@ def client(number: int = 0) -> Any:
         up_direction=np.array([0.0, 0.0, 1.0]),
         fov=camera.FIELD_OF_VIEW,
         near=camera.NEAREST,
-        far=camera.FARTHEST,
+        far=camera.FARTHEST_DRAWN,
     )
     return SimpleNamespace(client_id=number, camera=eye, atomic=lambda: Handle(), gui=Gui())
 
@@ -142,9 +142,7 @@ def test_every_key_does_one_thing_and_none_flies_the_camera(panel: Any) -> None:
     assert len({command.label for command in commands.values()}) == len(commands)
 
 
-def test_keys_pause_step_choose_rules_and_reset(
-    panel: Any, session: Session, wait_until: WaitUntil
-) -> None:
+def test_keys_pause_step_choose_rules_and_reset(panel: Any, session: Session) -> None:
     commands = panel.gui.commands()
     me = client()
     press = lambda key, held=None: commands[key, held].act(me)  # noqa: E731
@@ -327,7 +325,7 @@ def test_another_lens_shows_as_much_of_what_is_looked_at() -> None:
     assert distance < eye.far
     camera.set_lens(me, camera.FIELD_OF_VIEW)
     np.testing.assert_allclose(eye.position, [0.0, -10.0, 5.0], atol=1e-9)
-    assert (eye.near, eye.far) == (camera.NEAREST, camera.FARTHEST)
+    assert (eye.near, eye.far) == (camera.NEAREST, camera.FARTHEST_DRAWN)
 
 
 def test_the_depth_goes_along_with_a_parallel_camera() -> None:
@@ -379,7 +377,7 @@ def test_a_section_keeps_just_what_is_behind_the_plane(anatomy: scenes.Scene) ->
 
 
 def test_the_section_follows_the_tip_and_goes_with_its_client(
-    anatomy: scenes.Scene, monkeypatch: pytest.MonkeyPatch, wait_until: WaitUntil
+    anatomy: scenes.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(section, "PERIOD", 0.0)
     drawn: list[Any] = []

@@ -10,8 +10,9 @@ import pytest
 import meshes
 import vf
 from app.options import parse_as
+from app.refused import Refused
 from app.scene import scene as scenes
-from app.session import Refused, Session
+from app.session import Session
 from app.settings import Options
 from app.view.corridor import far_end
 from app.words import OptionError

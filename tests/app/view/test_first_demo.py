@@ -168,12 +168,13 @@ def test_pieces_with_colours_of_their_own_show_those_of_the_legend() -> None:
 
 def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
     from app.view.fixture import SLOTS, FixtureDrawing
+    from app.view.labels import Labels
 
     p_tip = np.array(scene.T_base_start.translation) - np.array([0.0, 0.0, 0.014])
     planes = vf.certified_planes(scene.surface, p_tip, radius=5e-3)
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
-        drawing = FixtureDrawing(server.scene)
+        drawing = FixtureDrawing(server.scene, Labels(server))
         drawing.draw(p_tip, 5e-3, planes, np.zeros(len(planes)), scene.surface)
         edges: Any = drawing._edges
         assert edges.visible

@@ -1,4 +1,4 @@
-"""The inspector without a browser: its cases, its solid, its trials, its words, its ray."""
+"""The inspector without a browser: its cases, its solid, its forecasts, its words, its ray."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from app.view.inspector.inspection import Inspector, Question, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.region import allowed_region
 from app.view.worker import Worker
+from tests.support.headless import wait_until
 
 RADIUS = 5e-3
 # Which condition each of the paper's drawings shows for T1 and T2 (its Figures 4 and 5).
@@ -65,7 +66,9 @@ def test_each_case_shows_what_the_paper_draws(name):
     turn = trimesh.transformations.random_rotation_matrix(np.full(3, 0.3))[:3, :3]
     surface, x = figures.place(case, turn, np.array([0.4, 0.4, -0.1]))
     explanation = vf.explain(surface, x, figures.RADIUS, standoff=20e-6)
-    found = tuple(words.palette.STATES[words.state_of(explanation.of(t))].name for t in (0, 1))
+    found = tuple(
+        words.palette.TRIANGLE_STATES[words.state_of(explanation.of(t))].name for t in (0, 1)
+    )
     # The certified rule guards what the paper's leaves undecided, from either side.
     expected = SHOWN[name]
     plain = tuple("inactive" if f == "certified only" else f for f in found)
@@ -109,19 +112,19 @@ def test_every_verdict_has_plain_words(pressed):
 
 
 def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pressed):
-    close = Inspector().answer(Question(pressed, False, comparison=True)).trials
-    trials = {trial.rule: trial for trial in close.of}
-    assert set(trials) == set(vf.RULES)
-    assert trials["certified"].leaking == 0.0
-    assert not trials["certified"].crosses
-    assert trials["off"].leaking == 1.0
-    assert trials["off"].blocked == 0.0
-    assert trials["off"].planes == 0
-    assert trials["off"].crosses
-    assert trials["off"].step > 10.0 * trials["certified"].step
+    close = Inspector().answer(Question(pressed, False, comparison=True)).forecasts
+    forecasts = {forecast.rule: forecast for forecast in close.of}
+    assert set(forecasts) == set(vf.RULES)
+    assert forecasts["certified"].leaking == 0.0
+    assert not forecasts["certified"].crosses
+    assert forecasts["off"].leaking == 1.0
+    assert forecasts["off"].blocked == 0.0
+    assert forecasts["off"].planes == 0
+    assert forecasts["off"].crosses
+    assert forecasts["off"].step > 10.0 * forecasts["certified"].step
     # Every face in the sphere blocks more than the planes that are needed.
-    assert trials["all"].blocked > trials["certified"].blocked
-    assert trials["certified"].p_tip == pytest.approx(pressed.x, abs=1e-4)
+    assert forecasts["all"].blocked > forecasts["certified"].blocked
+    assert forecasts["certified"].p_tip == pytest.approx(pressed.x, abs=1e-4)
     html = words.comparison(close)
     assert "Would go through the surface: off." in html
 
@@ -167,6 +170,14 @@ def test_the_allowed_region_has_the_volume_that_a_count_says():
     assert solid.volume == pytest.approx(region.share * 4 / 3 * np.pi * RADIUS**3, rel=1e-6)
 
 
+def test_of_a_whole_ball_one_fiftieth_is_not_drawn():
+    """As docs/inspector.md says; and nothing that is drawn is outside."""
+    x = np.array([0.1, -0.2, 0.3])
+    region = allowed_region(vf.Planes.none(RADIUS), x)
+    assert region.share == pytest.approx(0.98, abs=5e-4)
+    assert np.linalg.norm(region.vertices - x, axis=1).max() <= RADIUS * (1.0 + 1e-12)
+
+
 def test_no_room_makes_an_empty_region():
     wall = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     planes = vf.Planes(wall, np.zeros(2), np.zeros((2, 3)), np.zeros(2, int), np.zeros(2, int), 1.0)
@@ -195,17 +206,17 @@ def test_a_comparison_that_lags_behind_is_made_up_for(pressed, monkeypatch):
     moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]), tick=43)
     late = inspector.answer(Question(moved, False, comparison=True))
     assert not late.settled  # too soon after the first
-    assert late.trials is first.trials
+    assert late.forecasts is first.forecasts
     # What is said of it is of the moment it was made in, not of this one.
-    assert (late.trials.x == pressed.x).all()
-    assert late.trials.tick == 41
-    assert "after tick 41" in words.comparison(late.trials)
+    assert (late.forecasts.x == pressed.x).all()
+    assert late.forecasts.tick == 41
+    assert "after tick 41" in words.comparison(late.forecasts)
     monkeypatch.setattr("app.view.inspector.inspection.SLOW", 0.0)
     caught_up = inspector.answer(Question(moved, False, comparison=True))
     assert caught_up.settled
-    assert caught_up.trials is not first.trials
-    assert caught_up.trials.tick == 43
-    assert (caught_up.trials.x == moved.x).all()
+    assert caught_up.forecasts is not first.forecasts
+    assert caught_up.forecasts.tick == 43
+    assert (caught_up.forecasts.x == moved.x).all()
 
 
 def test_a_comparison_is_not_kept_for_another_place_or_other_settings(pressed):
@@ -216,17 +227,17 @@ def test_a_comparison_is_not_kept_for_another_place_or_other_settings(pressed):
         inspector = Inspector()
         first = inspector.answer(Question(pressed, False, comparison=True))
         other = inspector.answer(Question(replace(pressed, **change), False, comparison=True))
-        assert other.trials is not first.trials
+        assert other.forecasts is not first.forecasts
 
 
 def test_all_trials_are_made_from_the_state_of_one_tick(scene, pressed):
     """What the comparison says of each rule is what that rule's own controller does next."""
-    compared = Inspector().answer(Question(pressed, False, comparison=True)).trials
-    for trial in compared.of:
-        controller = scenes.plant(scene, replace(pressed.options, rule=trial.rule)).controller
+    compared = Inspector().answer(Question(pressed, False, comparison=True)).forecasts
+    for forecast in compared.of:
+        controller = scenes.plant(scene, replace(pressed.options, rule=forecast.rule)).controller
         step = controller.step(pressed.pose.q, pressed.pose.target)
-        np.testing.assert_allclose(trial.p_tip, step.tip.translation, atol=1e-8)
-        assert trial.step == pytest.approx(
+        np.testing.assert_allclose(forecast.p_tip, step.tip.translation, atol=1e-8)
+        assert forecast.step == pytest.approx(
             np.linalg.norm(step.tip.translation - compared.x), abs=1e-8
         )
 
@@ -257,7 +268,7 @@ def test_a_ray_finds_the_first_triangle(name):
         pick(surface, [0, 0, 0], [0, 0, 0])
 
 
-def test_the_thread_drops_old_questions_and_ends_when_nobody_asks(wait_until):
+def test_the_thread_drops_old_questions_and_ends_when_nobody_asks():
     done: list[int] = []
     gate = threading.Event()
 
@@ -277,7 +288,7 @@ def test_the_thread_drops_old_questions_and_ends_when_nobody_asks(wait_until):
     wait_until(lambda: worker.newest() == 7)
 
 
-def test_a_failing_answer_leaves_the_last_one_standing(wait_until):
+def test_a_failing_answer_leaves_the_last_one_standing():
     worker: Worker[int, float] = Worker("inspector", lambda q: 1.0 / q)
     worker.ask(2)
     wait_until(lambda: worker.newest() == 0.5)
@@ -291,6 +302,6 @@ def test_a_failing_answer_leaves_the_last_one_standing(wait_until):
 def test_comparison_leaves_the_scenes_arm_alone(scene, pressed):
     before = scene.arm.tip(scene.start).translation.copy()
     comparison = Comparison(scene)
-    comparison.trials(scene.surface, pressed.x, RADIUS, pressed.options, pressed.pose)
+    comparison.forecasts(scene.surface, pressed.x, RADIUS, pressed.options, pressed.pose)
     assert comparison._arm is not scene.arm
     assert (scene.arm.tip(scene.start).translation == before).all()

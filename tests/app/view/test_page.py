@@ -17,10 +17,14 @@ import trimesh
 
 import vf
 from app.control.messages import LoopStats, Telemetry
+from app.recording.playback import Moment
 from app.recording.rerun import run_headless
+from app.scene.scene import Scene
+from app.session import Session
 from app.settings import Options
-from app.view import camera, help, keys, palette, signals, trail, who
+from app.view import Page, camera, help, keys, palette, signals, trail, who
 from app.view.depth import signed_distance
+from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
 
 
@@ -134,28 +138,32 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
 ) -> None:
     from app.scene import scene
 
-    shown = scene.build(Options(mesh="sphere", robot="point", rule="off"), 1, warm=False)
-    stage: Any = MagicMock()
-    stage.screen.live = True
-    stage.session.options.rule = "certified"
-    tab = signals.Signals(stage)
-    tab.set_scene(shown)
+    options = Options(mesh="sphere", robot="point")
+    sphere = scene.build(options, 1, warm=False)
+    context: Any = MagicMock()
+    context.screen.live = True
+    tab = signals.Signals(context)
+    tab.set_scene(sphere)
     tab._on.value = False
+
+    def frame(shot: Telemetry) -> None:
+        tab.frame(Moment(sphere, options, shot, clutched=False), {})
+
     for shot in telemetry:
-        tab.frame(shot)
+        frame(shot)
     times, _ = tab._history.shown()
     assert len(times) == 2, "150 ms at a sample each 100 ms"
     plots = [SimpleNamespace(data=None) for _ in signals.PLOTS]
     tab._plots = plots
-    tab.frame(telemetry[-1])
+    frame(telemetry[-1])
     assert plots[0].data is None, "switched off, they stand still"
     tab._on.value = True
     switched = tab._on.on_update.call_args.args[0]
     asyncio.run(switched(None))
-    tab.frame(telemetry[-1])  # of a paused loop: no new tick
+    frame(telemetry[-1])  # of a paused loop: no new tick
     assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with what was before"
-    stage.screen.live = False  # a replay begins
-    tab.frame(telemetry[0])
+    context.screen.live = False  # a replay begins
+    frame(telemetry[0])
     assert len(tab._history.shown()[0]) == 1
 
 
@@ -302,3 +310,33 @@ def test_the_colours_of_the_rules_are_told_apart(kind: str) -> None:
             seen(palette.LOOKS[a].color, kind) - seen(palette.LOOKS[b].color, kind)
         )
         assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 can just be told apart
+
+
+def test_the_page_calls_every_part_there_is_and_nothing_else() -> None:
+    with Session(Options(mesh="cube", robot="point")) as session:
+        page = Page(session, "127.0.0.1", 0)
+        try:
+            kinds = [type(part) for part in page._parts]
+            assert len(kinds) == len(set(kinds))
+            assert set(kinds) == set(Part.__subclasses__())
+            heard: list[str] = []
+
+            class Listening(Part):
+                def set_scene(self, scene: Scene) -> None:
+                    heard.append(f"scene {scene.mesh_name}")
+
+                def frame(self, shown: Moment, clients: Clients) -> None:
+                    heard.append(f"frame {shown.scene.mesh_name}")
+
+                def read_out(self, shown: Moment) -> None:
+                    heard.append("read-out")
+
+            # Nobody watches: what the view thread does is done here.
+            page._parts = (*page._parts, Listening())
+            session.change(mesh="stairs")
+            page._frame()
+            page._frame()
+            page._read_out()
+            assert heard == ["scene stairs", "frame stairs", "frame stairs", "read-out"]
+        finally:
+            page.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -19,9 +19,8 @@ from app.settings import Options
 from app.view import palette, readouts
 from app.view.depth import whereabouts
 from app.view.measuring import Measuring
+from tests.support.headless import wait_until
 from vf.qp import Solver
-
-Wait = Callable[..., None]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def running() -> Iterator[Session]:
 
 
 @pytest.fixture
-def session(running: Session, wait_until: Wait) -> Session:
+def session(running: Session) -> Session:
     running.resume()
     running.set(rule="certified")
     running.set(standoff=20e-6)
@@ -60,7 +59,7 @@ def banner(session: Session, telemetry: Telemetry | None = None, **changes: Any)
             telemetry or session.latest(),
             session.options,
             extras(session, **changes),
-            session.clutched,
+            session.master.clutched,
         )
     )
 
@@ -89,7 +88,7 @@ def into(session: Session) -> pin.SE3:
 
 
 def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
-    session: Session, wait_until: Wait
+    session: Session,
 ) -> None:
     session.drive(below(session, 1e-3))
     wait_until(lambda: says(session, "Free."))
@@ -107,9 +106,7 @@ def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
     assert "Recovering" in banner(session, replace(session.latest(), paused=False))
 
 
-def test_a_tool_that_went_inside_without_a_fixture_is_told_so(
-    session: Session, wait_until: Wait
-) -> None:
+def test_a_tool_that_went_inside_without_a_fixture_is_told_so(session: Session) -> None:
     session.set(rule="off")
     session.drive(into(session))
     wait_until(lambda: says(session, "No fixture (rule off)"))
@@ -127,12 +124,12 @@ def test_a_tool_that_went_inside_without_a_fixture_is_told_so(
     assert not surface.inside(np.array(step_of(session).tip.translation))
 
 
-def test_clutch_autopilot_and_a_lost_hand_are_announced(session: Session, wait_until: Wait) -> None:
+def test_clutch_autopilot_and_a_lost_hand_are_announced(session: Session) -> None:
     session.clutch(True)
     wait_until(lambda: says(session, "Clutched"))
-    assert session.clutched
+    assert session.master.clutched
     session.clutch(False)
-    assert not session.clutched
+    assert not session.master.clutched
     session.set_autopilot(True)
     wait_until(lambda: says(session, "Autopilot"))
     session.reset()
@@ -140,7 +137,7 @@ def test_clutch_autopilot_and_a_lost_hand_are_announced(session: Session, wait_u
     wait_until(lambda: says(session, "Stale"))
 
 
-def test_a_joint_at_its_limit_is_named(session: Session, wait_until: Wait) -> None:
+def test_a_joint_at_its_limit_is_named(session: Session) -> None:
     # Insertion is the PSM's third joint; half a metre up is out of its reach.
     session.drive(below(session, -0.5))
     wait_until(lambda: says(session, "Joint limit: insertion (lower)"))
@@ -221,6 +218,6 @@ def test_triangles_that_a_tips_ball_can_reach_are_counted(session: Session) -> N
         (4e-3, True, "triangles in ball’s reach"),
     ):
         options = replace(session.options, tip_radius=tip_radius)
-        found = Measuring().measure(Moment(session.scene, options, telemetry, False), None, 0)
+        found = Measuring().measure(Moment(session.scene, options, telemetry, False), 0)
         assert (found.in_sphere > 0) == counted
         assert name in text(readouts.readouts(telemetry, options, found))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,7 @@ from app.session import Session
 from app.settings import Options
 from app.view import readouts
 from app.view.depth import Whereabouts, free_line, shaft, whereabouts
-
-Wait = Callable[..., None]
+from tests.support.headless import wait_until
 
 
 def distance(session: Session, p: np.ndarray) -> float:
@@ -59,7 +58,7 @@ class Told:
         )
         joints = tuple(session.scene.arm.joints)
         extras = readouts.Extras(0, 0.0, joints, where=self.where)
-        clutched, options = session.clutched, session.options
+        clutched, options = session.master.clutched, session.options
         self.banner = _text(readouts.banner(telemetry, options, extras, clutched))
         self.table = _text(readouts.readouts(telemetry, options, extras))
 
@@ -82,7 +81,7 @@ def session(request: pytest.FixtureRequest, sheet: Path) -> Iterator[Session]:
         yield session
 
 
-def go(session: Session, height: float, wait_until: Wait) -> None:
+def go(session: Session, height: float) -> None:
     """Lead the tool without a fixture to a height over the mesh's top [m]."""
     session.set(rule="off")
     session.set(tip_radius=0.0)
@@ -100,34 +99,34 @@ def tip(session: Session) -> np.ndarray:
     return np.full(3, np.nan) if step is None else np.array(step.tip.translation)
 
 
-def settle(session: Session, wait_until: Wait) -> None:
+def settle(session: Session) -> None:
     """Wait for ticks with what was set last, and for the watch to have seen them."""
     tick = session.latest().tick
     wait_until(lambda: session.latest().tick > tick + 100)
 
 
-def rules(session: Session, wait_until: Wait) -> Iterator[tuple[str, Told]]:
+def rules(session: Session) -> Iterator[tuple[str, Told]]:
     """Every rule, and what the page says under it where the tool is."""
     for rule in vf.RULES:
         session.set(rule=rule)
-        settle(session, wait_until)
+        settle(session)
         yield rule, Told(session)
 
 
-def test_in_free_space_it_is_free(session: Session, wait_until: Wait) -> None:
-    go(session, 0.008, wait_until)
-    for rule, told in rules(session, wait_until):
+def test_in_free_space_it_is_free(session: Session) -> None:
+    go(session, 0.008)
+    for rule, told in rules(session):
         assert told.where.free
         assert told.number("distance to surface") == pytest.approx(8.0, abs=5e-3)
         assert ("Free." in told.banner) == (rule != "off")
         assert "crossingnone" in told.table
 
 
-def test_behind_the_surface_it_is_never_free(session: Session, wait_until: Wait) -> None:
+def test_behind_the_surface_it_is_never_free(session: Session) -> None:
     """Inside the sphere, below the plate, on the far side of the sheet."""
-    go(session, -0.012, wait_until)
+    go(session, -0.012)
     solid = session.scene.surface
-    for _, told in rules(session, wait_until):
+    for _, told in rules(session):
         assert session.crossing is not None
         assert "Free." not in told.banner
         assert f"Crossed at tick {session.crossing.tick:,}, triangle #" in told.banner
@@ -150,31 +149,27 @@ def test_behind_the_surface_it_is_never_free(session: Session, wait_until: Wait)
     session.resume()
 
 
-def test_back_out_it_is_said_to_be_back_but_the_crossing_stays(
-    session: Session, wait_until: Wait
-) -> None:
-    go(session, -0.012, wait_until)
+def test_back_out_it_is_said_to_be_back_but_the_crossing_stays(session: Session) -> None:
+    go(session, -0.012)
     start = session.scene.T_base_start
     session.drive(start)
     wait_until(lambda: np.allclose(tip(session), start.translation, atol=1e-7))
-    for _, told in rules(session, wait_until):
+    for _, told in rules(session):
         assert "Crossed at tick" in told.banner
         assert "Back on the near side" in told.banner
         assert "Free." not in told.banner
 
 
-def test_a_ball_is_measured_from_its_centre_and_from_its_surface(
-    session: Session, wait_until: Wait
-) -> None:
-    go(session, 0.004, wait_until)
+def test_a_ball_is_measured_from_its_centre_and_from_its_surface(session: Session) -> None:
+    go(session, 0.004)
     session.set(tip_radius=0.001)
-    for rule, told in rules(session, wait_until):
+    for rule, told in rules(session):
         true = 1e3 * distance(session, told.p_tip)
         assert told.number("tip’s centre to surface") == pytest.approx(true, abs=6e-4)
         assert told.number("tip’s ball to surface") == pytest.approx(true - 1.0, abs=6e-4)
         # Of a thin plate, rule "all" also has the planes of the side turned away.
         assert "Free." in told.banner or rule in ("all", "off")
-    go(session, 0.004, wait_until)
+    go(session, 0.004)
     session.pause()
     wait_until(lambda: session.latest().paused)
     session.set(tip_radius=0.005)  # now it overlaps, though nothing moved
@@ -184,11 +179,11 @@ def test_a_ball_is_measured_from_its_centre_and_from_its_surface(
     assert not told.where.free
     assert told.number("tip’s ball to surface") == pytest.approx(true - 5.0, abs=6e-4)
     session.resume()
-    settle(session, wait_until)
+    settle(session)
     assert session.crossing is None
 
 
-def test_round_the_edge_is_no_far_side_and_no_crossing(sheet: Path, wait_until: Wait) -> None:
+def test_round_the_edge_is_no_far_side_and_no_crossing(sheet: Path) -> None:
     options = Options(mesh=str(sheet), unit="mm", robot="point")
     with Session(options) as session:
         start = session.scene.T_base_start
@@ -196,17 +191,17 @@ def test_round_the_edge_is_no_far_side_and_no_crossing(sheet: Path, wait_until: 
             goal = start.translation + np.array(shift)
             session.drive(pin.SE3(start.rotation, goal))
             wait_until(lambda goal=goal: np.allclose(tip(session), goal, atol=1e-6))
-        settle(session, wait_until)
+        settle(session)
         told = Told(session)
         assert session.crossing is None
         assert "Free." in told.banner
         assert "depth below surface–" in told.table
 
 
-def test_the_shaft_in_the_mesh_is_remarked(wait_until: Wait) -> None:
+def test_the_shaft_in_the_mesh_is_remarked() -> None:
     """The tip goes round the edge of a plate, and below it, where the shaft sticks through it."""
     with Session(Options(mesh="thin-plate")) as session:
-        settle(session, wait_until)
+        settle(session)
         remark = "The shaft is in the mesh: only the tip is guarded."
         assert not Told(session).where.shaft_crosses
         assert remark not in Told(session).banner
@@ -215,7 +210,7 @@ def test_the_shaft_in_the_mesh_is_remarked(wait_until: Wait) -> None:
             goal = start.translation + np.array(shift)
             session.drive(pin.SE3(start.rotation, goal))
             wait_until(lambda goal=goal: np.allclose(tip(session), goal, atol=1e-4))
-        settle(session, wait_until)
+        settle(session)
         told = Told(session)
         assert session.crossing is None
         assert told.where.shaft_crosses

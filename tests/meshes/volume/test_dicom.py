@@ -11,10 +11,10 @@ import numpy as np
 import pydicom
 import pytest
 import trimesh
-import volume_files as files
-from test_volume_files import reason
 
 from meshes import volume
+from tests.support import volume_files as files
+from tests.support.volume_files import reason
 
 
 def ball(shape: tuple[int, int, int] = (9, 8, 7)) -> tuple[np.ndarray, np.ndarray]:

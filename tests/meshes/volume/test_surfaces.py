@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 import pytest
 import trimesh
-import volume_files as files
 
 import meshes
 from meshes import volume
 from meshes.volume import grid, surfaces
+from tests.support import volume_files as files
 
 UNIT = np.diag([1e-3, 1e-3, 1e-3, 1.0])  # voxels of 1 mm
 

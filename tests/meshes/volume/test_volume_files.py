@@ -13,11 +13,12 @@ import nibabel
 import numpy as np
 import pytest
 import trimesh
-import volume_files as files
 
 import meshes
 from meshes import volume
 from meshes.volume import payload
+from tests.support import volume_files as files
+from tests.support.volume_files import reason
 
 WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], Path]] = {
     "v.nii": files.write_nifti,
@@ -39,15 +40,6 @@ WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], Path]] = {
 def _pair(path: Path, values: np.ndarray, T: np.ndarray) -> Path:
     nibabel.save(nibabel.Nifti1Pair(values.astype(np.float32), T), path)
     return path
-
-
-def reason(path: Path, **options: int) -> str:
-    with pytest.raises(meshes.MeshError) as caught:
-        volume.read(path, **options)
-    text = str(caught.value)
-    assert "\n" not in text
-    assert text.startswith(str(path))
-    return text
 
 
 @pytest.mark.parametrize("grid", files.GRIDS)

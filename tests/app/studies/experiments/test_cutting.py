@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from app.studies.experiments.cutting import Blade, kerf
-from app.studies.experiments.site import THICKNESS, Course
+from app.studies.experiments.site import THICKNESS, PlannedCut
 
 
-def straight(length: float = 10e-3) -> Course:
+def straight(length: float = 10e-3) -> PlannedCut:
     stations = np.arange(0.0, length + 5e-4, 1e-3)
     one = np.ones((len(stations), 1))
-    return Course(
+    return PlannedCut(
         stations,
         stations[:, None] * [0.0, 1.0, 0.0] + [0.02, 0.01, -0.1],
         one * [0.0, 1.0, 0.0],
@@ -72,11 +72,13 @@ def test_a_curved_course_is_measured_along_its_own_normals() -> None:
     radius = 75e-3
     outward = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=1)
     along = np.stack([0.0 * angle, np.cos(angle), -np.sin(angle)], axis=1)
-    course = Course(radius * angle, radius * outward, along, np.tile([1.0, 0, 0], (31, 1)), outward)
+    planned = PlannedCut(
+        radius * angle, radius * outward, along, np.tile([1.0, 0, 0], (31, 1)), outward
+    )
     fine = np.linspace(-0.02, 0.42, 20001)
     tips = (radius - 2.5e-3) * np.stack([0.0 * fine, np.sin(fine), np.cos(fine)], axis=1)
     tips[:, 0] = 0.3e-3
-    cut = kerf(course, tips, Blade(thickness=1e-5))
+    cut = kerf(planned, tips, Blade(thickness=1e-5))
     np.testing.assert_allclose(cut.deviation, 0.3e-3, atol=1e-12)
     np.testing.assert_allclose(cut.penetration, 0.5e-3, atol=2e-7)  # frames are interpolated
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import meshes
+from app.judges import exact
 from app.studies.experiments import judge
-from app.studies.verification import exact
 
 
 @pytest.mark.slow

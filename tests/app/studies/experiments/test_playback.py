@@ -1,7 +1,5 @@
 """A trial played in the page's engine moves the joints of the trial, bit for bit."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -10,6 +8,7 @@ from app.control.messages import Command, LoopStats
 from app.scene import scene as scenes
 from app.studies.experiments import playback, protocol
 from app.studies.experiments.protocol import Trial
+from tests.support.commands import page_of_command
 
 
 @pytest.mark.slow
@@ -28,7 +27,7 @@ def test_the_engine_repeats_the_trial(rule: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_trial_opens_in_the_page(page_of_command: Callable[..., str]) -> None:
+def test_a_trial_opens_in_the_page() -> None:
     words = "experiment replay --rate 100 --length 2mm --port 0"
     told = page_of_command(*words.split())
     assert "cutting-skull-certified" in told

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from everyday import everyday
 
 import meshes
 import robots
 import vf
 from app.commands import call
-from app.studies.verification import campaign, oracles, scenes
+from app.judges import oracles
+from app.studies.verification import campaign, scenes
 from meshes.builtin.damage import damage, kinds
+from tests.support.everyday import everyday
 from vf.cover import Buffer
 
 ROOT = Path(__file__).parents[4]
@@ -153,8 +154,7 @@ def test_the_distance_from_a_path_seen_along_the_cut():
     path = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 5.0], [1.0, 1.0, -3.0], [1.0, 1.0, 2.0]])
     for p, distance in (
         ([0.5, 0.5, 9.0], 0.5), ([-2.0, 0.3, 1.0], 2.0), ([-1.0, -7.0, 0.0], 1.0),
-        ([5.0, 1.5, 0.0], 0.5), ([-3.0, 5.0, 0.0], 5.0),
-    ):  # fmt: skip
+        ([5.0, 1.5, 0.0], 0.5), ([-3.0, 5.0, 0.0], 5.0)):  # fmt: skip
         found = oracles.aside(path, np.array([0.0, 0.0, 1.0]), np.array(p))
         assert found == pytest.approx(distance), p
 

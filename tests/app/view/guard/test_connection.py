@@ -22,6 +22,8 @@ from app.view import Page, guard
 from app.view.guard import allowance, connection
 from app.view.guard.messages import LARGEST, problem_with
 from app.view.guard.repairs import SHARE
+from tests.support.clients import joined
+from tests.support.headless import wait_until
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (1, 1, 1), "fov": 1.0,
@@ -52,12 +54,7 @@ def send_for_ever(send: Callable[[bytes], object], raw: bytes) -> None:
         send(raw)
 
 
-def test_a_crafted_message_opens_no_tunnel(
-    page: Page,
-    joined: Callable[..., ClientConnection],
-    monkeypatch: pytest.MonkeyPatch,
-    wait_until: Callable[..., None],
-) -> None:
+def test_a_crafted_message_opens_no_tunnel(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[object] = []
     monkeypatch.setattr(_viser, "ViserTunnel", lambda *a: opened.append(a))
     with joined(page) as socket:
@@ -158,9 +155,7 @@ def test_every_mutation_of_a_message_is_refused_or_readable() -> None:
     assert 0 < passed < 3000
 
 
-def test_a_few_bad_messages_are_dropped_and_many_end_the_connection(
-    page: Page, joined: Callable[..., ClientConnection], wait_until: Callable[..., None]
-) -> None:
+def test_a_few_bad_messages_are_dropped_and_many_end_the_connection(page: Page) -> None:
     with joined(page) as socket:
         for raw in list(BAD.values())[:15]:
             socket.send(raw)
@@ -170,19 +165,12 @@ def test_a_few_bad_messages_are_dropped_and_many_end_the_connection(
     wait_until(lambda: not page.server.get_clients())
 
 
-def test_a_message_without_end_ends_the_connection(
-    page: Page, joined: Callable[..., ClientConnection]
-) -> None:
+def test_a_message_without_end_ends_the_connection(page: Page) -> None:
     with joined(page) as socket:
         assert cut_off(socket, bytes(LARGEST + 1)) == 1009
 
 
-def test_a_flood_is_dropped_then_cut_off(
-    page: Page,
-    joined: Callable[..., ClientConnection],
-    session: Session,
-    wait_until: Callable[..., None],
-) -> None:
+def test_a_flood_is_dropped_then_cut_off(page: Page, session: Session) -> None:
     with joined(page) as socket:
         socket.send(packed(**CAMERA))
         wait_until(lambda: page.server.get_clients())
@@ -195,7 +183,7 @@ def test_a_flood_is_dropped_then_cut_off(
         assert socket.recv(timeout=10.0), "others are welcome"
 
 
-def test_a_flood_of_pings_is_cut_off(page: Page, joined: Callable[..., ClientConnection]) -> None:
+def test_a_flood_of_pings_is_cut_off(page: Page) -> None:
     ping = b"\x89\x80\x00\x00\x00\x00"
     with joined(page) as client, pytest.raises((BrokenPipeError, ConnectionResetError)):
         send_for_ever(client.socket.sendall, ping * 1000)
@@ -212,9 +200,7 @@ def test_drags_at_a_browser_s_rate_pass_whole(monkeypatch: pytest.MonkeyPatch) -
     assert all(messages.take() for _ in range(100))
 
 
-def test_an_upload_is_slowed_and_not_cut_off(
-    page: Page, joined: Callable[..., ClientConnection], wait_until: Callable[..., None]
-) -> None:
+def test_an_upload_is_slowed_and_not_cut_off(page: Page) -> None:
     part = {"type": "FileTransferPart", "source_component_uuid": "x", "transfer_uuid": "y"}
     with joined(page) as socket:
         for k in range(60):
@@ -224,7 +210,7 @@ def test_an_upload_is_slowed_and_not_cut_off(
 
 
 def test_a_client_that_does_not_read_is_dropped(
-    page: Page, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., None]
+    page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connection, "STALLED", 0.5)
     raw = socket.create_connection(("127.0.0.1", page.port))
@@ -254,10 +240,7 @@ def test_a_client_that_does_not_read_is_dropped(
 
 
 def test_values_of_the_wrong_type_do_not_fill_the_log(
-    page: Page,
-    joined: Callable[..., ClientConnection],
-    caplog: pytest.LogCaptureFixture,
-    wait_until: Callable[..., None],
+    page: Page, caplog: pytest.LogCaptureFixture
 ) -> None:
     controls = page.server.gui._gui_input_handle_from_uuid.values()
     control = next(c for c in controls if getattr(c, "label", None) == "Scale")
@@ -270,9 +253,7 @@ def test_values_of_the_wrong_type_do_not_fill_the_log(
     assert 1 <= sum("never retrieved" in record.message for record in caplog.records) <= 12
 
 
-def test_clients_that_vanish_leave_nothing(
-    page: Page, joined: Callable[..., ClientConnection], wait_until: Callable[..., None]
-) -> None:
+def test_clients_that_vanish_leave_nothing(page: Page) -> None:
     for _ in range(5):
         client = joined(page)
         client.send(packed(**CAMERA))

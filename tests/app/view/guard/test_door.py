@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import http.client
 import socket
-from collections.abc import Callable
 
 import pytest
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import ClientConnection
 from websockets.typing import Origin
 
 from app.view import Page, guard
 from app.view.guard.door import COOKIE
+from tests.support.clients import asked, joined
 
 
 @pytest.mark.parametrize("upgrade", [False, True])
@@ -21,7 +20,7 @@ from app.view.guard.door import COOKIE
     ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "192.168.1.7", "a@127.0.0.1"],
 )
 def test_a_name_that_was_rebound_to_this_machine_is_refused(
-    page: Page, asked: Callable[..., tuple[int, str]], host: str, upgrade: bool
+    page: Page, host: str, upgrade: bool
 ) -> None:
     assert asked(page, upgrade=upgrade, Host=host)[0] == 421
 
@@ -30,16 +29,12 @@ def test_a_name_that_was_rebound_to_this_machine_is_refused(
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "https://localhost", ""]
 )
-def test_another_site_s_requests_are_refused(
-    page: Page, asked: Callable[..., tuple[int, str]], origin: str, upgrade: bool
-) -> None:
+def test_another_site_s_requests_are_refused(page: Page, origin: str, upgrade: bool) -> None:
     assert asked(page, upgrade=upgrade, Origin=origin)[0] == 403
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
-def test_the_page_s_own_requests_pass(
-    page: Page, asked: Callable[..., tuple[int, str]], host: str
-) -> None:
+def test_the_page_s_own_requests_pass(page: Page, host: str) -> None:
     own = f"{host}:{page.port}"
     assert asked(page, Host=own)[0] == 200
     assert asked(page, Host=own, Origin=f"http://{own}")[0] == 200
@@ -47,9 +42,7 @@ def test_the_page_s_own_requests_pass(
     assert asked(page, Host="localhost:9000", upgrade=True)[0] == 101, "through ssh -L"
 
 
-def test_a_hijacked_websocket_is_refused_by_a_real_handshake(
-    page: Page, joined: Callable[..., ClientConnection]
-) -> None:
+def test_a_hijacked_websocket_is_refused_by_a_real_handshake(page: Page) -> None:
     with pytest.raises(InvalidStatus), joined(page, origin=Origin("http://evil.example")):
         pass
     with joined(page, origin=Origin(f"http://127.0.0.1:{page.port}")) as socket:
@@ -70,9 +63,7 @@ def test_this_machine_alone_needs_no_token(host: str) -> None:
     assert guard.token_for(host) is None
 
 
-def test_a_token_lets_in_and_nothing_else_does(
-    open_page: Page, asked: Callable[..., tuple[int, str]]
-) -> None:
+def test_a_token_lets_in_and_nothing_else_does(open_page: Page) -> None:
     page = open_page
     token = page.url.partition("/?token=")[2]
     assert len(token) >= 32

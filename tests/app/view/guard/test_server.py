@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import sys
 import threading
-from collections.abc import Callable
 
 import pytest
 from viser import _messages as wire
@@ -13,6 +12,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from app.session import Session
 from app.view import Page, guard
+from tests.support.clients import asked
 
 
 def test_a_message_from_another_thread_in_the_worst_moment_is_sent(page: Page) -> None:
@@ -42,9 +42,7 @@ def test_a_message_from_another_thread_in_the_worst_moment_is_sent(page: Page) -
     assert asyncio.run(receive()) == "late"
 
 
-def test_a_second_server_on_the_port_says_so(
-    session: Session, page: Page, asked: Callable[..., tuple[int, str]]
-) -> None:
+def test_a_second_server_on_the_port_says_so(session: Session, page: Page) -> None:
     with pytest.raises(OSError, match=f"port {page.port} on 127.0.0.1 was taken"):
         Page(session, "127.0.0.1", page.port)
     assert asked(page)[0] == 200

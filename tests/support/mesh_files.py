@@ -12,6 +12,7 @@ import json
 import struct
 import zipfile
 import zlib
+from pathlib import Path
 
 import numpy as np
 
@@ -300,3 +301,15 @@ FILES: dict[str, tuple[str, bytes]] = {
     "stl.gz": ("m.stl.gz", gzip.compress(stl_binary(), mtime=0)),
     "ply.gz": ("m.ply.gz", gzip.compress(ply_text().encode(), mtime=0)),
 }  # fmt: skip
+
+
+TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], dtype=float) / np.sqrt(3)
+"""Of diagonal 1."""
+SIDES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+
+
+def tetrahedron(path: Path, across: float) -> Path:
+    """An OBJ file of a tetrahedron of this diagonal, which says no unit."""
+    corners = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in (TETRAHEDRON * across).tolist())
+    path.write_text(corners + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in SIDES.tolist()))
+    return path

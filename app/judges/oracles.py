@@ -1,17 +1,16 @@
 """Judges of the certified rule that share no code with it, not even the list of local triangles.
 
-They go through the boxes of all triangles, which takes as long as a few ticks of the controller.
+Of a `vf.Surface` they read the vertices and the faces, which are the caller's own numbers; which of
+them are near, `app.judges.boxes` finds. Of `vf` they use the decorator that compiles.
 """
 
 from __future__ import annotations
-
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.studies.verification import exact
+from app.judges import boxes, exact
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
@@ -22,7 +21,7 @@ SCRATCH = 1e-9
 
 def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
     """Number of triangles that the closed segment from a to b (3,) touches or crosses: exact."""
-    near = _near(surface, np.minimum(a, b), np.maximum(a, b))
+    near = boxes.near(boxes.of(surface), a, b, 0.0)
     return _count_crossings(surface, near, a, b)
 
 
@@ -40,7 +39,7 @@ def scrapes(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float
 
     "Cuts" by more than `SCRATCH`.
     """
-    near = _near(surface, np.minimum(a, b) - tip_radius, np.maximum(a, b) + tip_radius)
+    near = boxes.near(boxes.of(surface), a, b, tip_radius)
     room = tip_radius - SCRATCH
     return int(_count_scrapes(surface.vertices, surface.faces, near, a, b, room))
 
@@ -60,13 +59,18 @@ def leaks(
     """
     p = np.asarray(x, dtype=np.float64)
     reach = radius + tip_radius
-    near = _near(surface, p - reach, p + reach)
+    near = boxes.near(boxes.of(surface), p, p, reach)
     return int(
         _count_leaks(
             surface.vertices, surface.faces, near, planes.normals, planes.offsets - tip_radius,
             p, reach, tolerance,
         )
     )  # fmt: skip
+
+
+def distances(surface: vf.Surface, triangles: NDArray[np.int64], x: FloatArray) -> FloatArray:
+    """Distance [m] of x (3,) to each of the triangles (k,)."""
+    return np.asarray(_distances(surface.vertices, surface.faces, triangles, x))
 
 
 def aside(path: FloatArray, direction: FloatArray, p: FloatArray) -> float:
@@ -101,7 +105,7 @@ def blocked(
     u = rng.normal(size=(samples, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
     ys = x + u * (radius * rng.uniform(size=(samples, 1)) ** (1.0 / 3.0))
-    near = _near(surface, x - radius, x + radius)
+    near = boxes.near(boxes.of(surface), x, x, radius)
     free = forbidden = 0
     for y in ys:
         if _count_crossings(surface, near, x, y):
@@ -110,32 +114,6 @@ def blocked(
         far = bool(np.linalg.norm(y - x) > planes.radius)
         forbidden += far or bool((planes.normals @ y < planes.offsets).any())
     return forbidden, free
-
-
-@lru_cache(maxsize=4)
-def _boxes(surface: vf.Surface) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner (m, 3) of every triangle's box."""
-    corners = surface.vertices[surface.faces]
-    return corners.min(axis=1), corners.max(axis=1)
-
-
-def _near(surface: vf.Surface, low: FloatArray, high: FloatArray) -> NDArray[np.int64]:
-    """All triangles whose box reaches a box, both closed, and some more."""
-    lowest, highest = _boxes(surface)
-    found = np.empty(len(lowest), dtype=np.int64)
-    return found[: _overlapping(lowest, highest, low - SCRATCH, high + SCRATCH, found)]
-
-
-@njit(cache=True, nogil=True)
-def _overlapping(lowest, highest, low, high, found):  # type: ignore[no-untyped-def]
-    count = 0
-    for t in range(len(lowest)):
-        found[count] = t
-        apart = False
-        for k in range(3):
-            apart |= lowest[t, k] > high[k] or highest[t, k] < low[k]
-        count += not apart
-    return count
 
 
 @njit(cache=True, nogil=True)
@@ -221,6 +199,15 @@ def distance(a, b, p, q, r):  # type: ignore[no-untyped-def]
     gap = min(gap, _segments_distance2(a, b, q, r))
     gap = min(gap, _segments_distance2(a, b, r, p))
     return np.sqrt(gap)
+
+
+@njit(cache=True, nogil=True)
+def _distances(vertices, faces, rows, x):  # type: ignore[no-untyped-def]
+    found = np.empty(rows.shape[0])
+    for k in range(rows.shape[0]):
+        f = faces[rows[k]]
+        found[k] = distance(x, x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
+    return found
 
 
 @njit(cache=True, nogil=True)

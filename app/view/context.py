@@ -1,29 +1,26 @@
-"""The seam between the page and its optional parts: inspector, signals, recorder and the like."""
+"""What the page offers to a part of it: inspector, signals, recorder and the like."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import viser
 
-from app.control.messages import Telemetry
 from app.scenarios.file import Scenario
 from app.scene.library import Library
-from app.scene.scene import Scene
 from app.session import Session
-from app.view.camera import Following
+from app.view.cameras import Cameras
 from app.view.escape import Escape
 from app.view.fixture import FixtureDrawing
 from app.view.hand import Hand, Tell
+from app.view.labels import Labels
 from app.view.proxy import Proxy
 from app.view.screen import Screen
 from app.view.uploads import Uploads
 
 
 @dataclass(frozen=True)
-class Stage:
+class PageContext:
     """What a part of the page is built on.
 
     Attributes:
@@ -35,10 +32,10 @@ class Stage:
             through `server.gui` appear in the panel of controls on the right.
         fixture: the planes at the tool, which a part may ask to step back.
         proxy: the operator's gizmo, likewise.
-        look: moves one client's camera to a preset, by the name of its button.
+        cameras: moves a client's camera.
         escape: what the Escape key closes; dialogs of a part say there that they are open.
-        following: whose cameras follow the tool.
         screen: what is shown; a part may put something else there than the session.
+        labels: whatever is written in the scene.
         library: the mesh files that can be chosen.
         uploads: takes files that come through a part's upload button.
         scenario: what the page was started with, if anything.
@@ -51,30 +48,10 @@ class Stage:
     left: viser.PanelHandle
     fixture: FixtureDrawing
     proxy: Proxy
-    look: Callable[[viser.ClientHandle, str], None]
+    cameras: Cameras
     escape: Escape
-    following: Following
     screen: Screen
+    labels: Labels
     library: Library
     uploads: Uploads
     scenario: Scenario | None = None
-
-
-class Feature(Protocol):
-    """A part of the page with a module of its own. All calls come from the view thread."""
-
-    def set_scene(self, scene: Scene) -> None:
-        """Another mesh or robot is about to be drawn; called once at the start as well."""
-        ...
-
-    def frame(self, telemetry: Telemetry) -> None:
-        """Some 25 times a second while somebody watches, inside `server.atomic()`."""
-        ...
-
-    def read_out(self, telemetry: Telemetry) -> None:
-        """Up to 4 times a second while somebody watches, inside `server.atomic()`."""
-        ...
-
-
-# How each part is made; `app.view.page.FEATURES` lists them in the order of the page.
-Maker = Callable[[Stage], Feature]

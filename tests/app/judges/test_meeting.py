@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import trimesh
 
 import meshes
 import vf
-from app.control.meeting import first_meeting, sees
+from app.judges.meeting import first_meeting, sees
 from meshes.builtin.damage import damage
+from tests.support.brute import Oracle
 
 
 def distances(surface: vf.Surface, points: np.ndarray) -> np.ndarray:
@@ -30,13 +29,11 @@ def distances(surface: vf.Surface, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("state", ["none", "flipped", "holes", "jittered"])
-def test_the_first_segment_that_meets_a_triangle_is_found(
-    state: str, oracle: Callable[..., object]
-) -> None:
+def test_the_first_segment_that_meets_a_triangle_is_found(state: str) -> None:
     rng = np.random.default_rng(7)
     vertices, faces = damage(state, meshes.arrays("gear"), seed=1)
     surface = vf.Surface.from_arrays(vertices, faces)
-    judge = oracle(vertices, faces)
+    judge = Oracle(vertices, faces)
     found = 0
     for _ in range(60):
         size = rng.choice([1e-4, 1e-3, 1e-2])
@@ -49,7 +46,7 @@ def test_the_first_segment_that_meets_a_triangle_is_found(
             found += 1
             assert met.centre
             a, b = path[met.segment], path[met.segment + 1]
-            alone = oracle(vertices, faces[met.triangle : met.triangle + 1])
+            alone = Oracle(vertices, faces[met.triangle : met.triangle + 1])
             assert alone.crossings(np.array([a, b]))
             # The triangle that is met first: up to its point there is nothing else.
             before = met.point - 1e-9 * (b - a) / np.linalg.norm(b - a)

@@ -1,5 +1,5 @@
 """Imported by the process that processes are forked from, so that they record at once."""
 
-import killed
+from tests.support import killed
 
 killed.prepare()

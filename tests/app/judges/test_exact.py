@@ -1,16 +1,17 @@
-"""The judges in rational arithmetic, judged: by a second exact way, and by scenes one can see."""
+"""The campaign's judges in rational arithmetic against those of vf's tests, which share no code
+with them, and against scenes one can see.
+"""
 
 from __future__ import annotations
 
 from fractions import Fraction
 
-import exact
-import naive
 import numpy as np
 import pytest
 
 import vf
-from app.studies.verification.exact import distance2, uncovered
+from app.judges.exact import distance2, meets, uncovered
+from tests.support import exact, naive
 
 FLOOR = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
 
@@ -86,12 +87,27 @@ def test_uncovered_parts_are_those_of_sampled_points():
     assert seen > 50
 
 
+def test_segments_and_triangles_meet_as_another_exact_way_says():
+    """Small integers: a third of the triangles and segments are without area or length, or flat."""
+    rng = np.random.default_rng(4)
+    met = 0
+    for _ in range(3000):
+        triangle = rng.integers(-1, 2, (3, 3)).astype(float)
+        a, b = rng.integers(-1, 2, (2, 3)).astype(float)
+        if rng.random() < 0.3:
+            triangle[:, 2] = a[2] = b[2] = 0.0
+        assert meets(a, b, triangle) == exact.meets(a, b, triangle), (a, b, triangle)
+        met += exact.meets(a, b, triangle)
+    assert 500 < met < 2500
+
+
 def test_all_triangles_are_looked_at():
     rng = np.random.default_rng(3)
     triangles = rng.integers(-3, 4, (60, 3, 3)).astype(float)
+    leaks = 0
     for _ in range(20):
         a, b = rng.integers(-3, 4, (2, 3)).astype(float)
-        rows = [t for t in range(60) if exact.exact.meets(a, b, triangles[t])]
+        rows = [t for t in range(60) if meets(a, b, triangles[t])]
         np.testing.assert_array_equal(exact.crossed(triangles, a, b), rows)
         n = rng.integers(-2, 3, (2, 3)).astype(float)
         found = planes(n.tolist(), [1.0, -1.0], 2.0)
@@ -101,6 +117,8 @@ def test_all_triangles_are_looked_at():
             if uncovered(triangles[t], n, found.offsets, a, 2.0, 0.5) is not None
         ]
         np.testing.assert_array_equal(exact.leaking(triangles, found, a, 0.5), rows)
+        leaks += len(rows)
+    assert leaks > 50
 
 
 def test_a_plane_that_is_a_hair_too_low_leaks():

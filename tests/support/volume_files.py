@@ -10,8 +10,12 @@ from pathlib import Path
 import nibabel
 import numpy as np
 import pydicom
+import pytest
 from pydicom.uid import CTImageStorage, EnhancedCTImageStorage, ExplicitVRLittleEndian
 from scipy.spatial.transform import Rotation
+
+import meshes
+from meshes import volume
 
 CENTRE = np.array([31.3, -12.7, 55.1])  # [mm], world
 TURN = Rotation.from_euler("xyz", [25, -40, 70], degrees=True).as_matrix()
@@ -226,3 +230,13 @@ def enhanced(slices: list[pydicom.Dataset], shuffled: bool = True) -> pydicom.Da
     one.PerFrameFunctionalGroupsSequence = pydicom.Sequence(frames)
     one.PixelData = b"".join(slices[k].PixelData for k in order)
     return one
+
+
+def reason(path: Path, **options: int) -> str:
+    """The reason a volume is refused with: one line that begins with its path."""
+    with pytest.raises(meshes.MeshError) as caught:
+        volume.read(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(str(path))
+    return text

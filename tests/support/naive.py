@@ -6,7 +6,7 @@ Exact answers come from rational arithmetic (a float is a fraction), the others 
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -43,18 +43,24 @@ def unit(rng: np.random.Generator) -> np.ndarray:
 # Closest points
 
 
+def fraction(value: float | Fraction) -> Fraction:
+    return value if isinstance(value, Fraction) else Fraction(float(value))
+
+
 def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
     return sum((i * j for i, j in zip(a, b, strict=True)), Fraction(0))
 
 
-def exact_closest(triangle: np.ndarray, x: np.ndarray) -> tuple[list[Fraction], Fraction]:
+def exact_closest(
+    triangle: np.ndarray | list[list[Fraction]], x: np.ndarray | list[Fraction]
+) -> tuple[list[Fraction], Fraction]:
     """Closest point of a triangle (3, 3) to x (3,) and the squared distance, both exact.
 
     Candidates are the corners, the feet on the edges and the foot on the plane; those that lie on
     the triangle are compared.
     """
-    corners = [[Fraction(float(v)) for v in row] for row in triangle]
-    p = [Fraction(float(v)) for v in x]
+    corners = [[fraction(v) for v in row] for row in triangle]
+    p = [fraction(v) for v in x]
     candidates = list(corners)
     for k in range(3):
         a, b = corners[k], corners[(k + 1) % 3]
@@ -157,6 +163,18 @@ class Brute:
     def nearest(self, x: np.ndarray) -> float:
         bound = np.linalg.norm(self.centres - x, axis=1).min()
         return float(self.within(x, bound)[1][0])
+
+
+@lru_cache(maxsize=8)
+def brute(surface: vf.Surface) -> Brute:
+    """Of a surface that is asked more than once."""
+    return Brute(surface)
+
+
+def near(surface: vf.Surface, x: np.ndarray, radius: float) -> np.ndarray:
+    """Corners (k, 3, 3) of the triangles within the radius, and of a few more; not by the tree."""
+    found = brute(surface)
+    return found.corners[found.within(x, radius)[0]]
 
 
 def clear_radius(distances: np.ndarray, radius: float, hair: float) -> float:

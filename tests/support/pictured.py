@@ -22,7 +22,7 @@ from app.settings import Options
 from app.view import Page, palette
 
 RECORD = "pictures.json"
-COMMAND = "python tests/browser/take_pictures.py docs"
+COMMAND = "python -m tests.browser.take_pictures docs"
 
 
 def parts_of_the_page() -> list[str]:

@@ -113,10 +113,18 @@ class Visitor:
 
     def choose(self, control: str, option: str) -> None:
         """Pick an option of a dropdown in the panel."""
-        box = self.tab.get_by_role("combobox", name=control, exact=True)
-        box.click()
+        self.tab.get_by_role("combobox", name=control, exact=True).click()
         self.tab.get_by_role("option", name=option, exact=True).click()
-        wait_until(lambda: box.input_value() == option, f"{control} to read {option}")
+        self.reads(control, option)
+
+    def reads(self, control: str, value: str) -> None:
+        """Wait until a dropdown of the panel shows this value.
+
+        What the session has already may still be on its way to the page: seconds, where a slow
+        machine draws in software.
+        """
+        box = self.tab.get_by_role("combobox", name=control, exact=True)
+        wait_until(lambda: box.input_value() == value, f"{control} to read {value}")
 
     def press(self, button: str) -> None:
         """Click a button of the panel."""

@@ -8,9 +8,9 @@ import nibabel
 import numpy as np
 import pytest
 import trimesh
-import volume_files as files
 
 from app.__main__ import main
+from tests.support import volume_files as files
 
 
 def test_a_surface_at_a_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,1 @@
+"""What moves and is moved: masters that an operator holds, and arms. See `protocols`."""

@@ -1,0 +1,1 @@
+"""Judges of what the rule promises, which share no code with it."""

@@ -1,0 +1,41 @@
+"""The left-hand panel, and the line that tells the state: numbers, and what the colours mean."""
+
+from __future__ import annotations
+
+import viser
+
+from app.recording.playback import Moment
+from app.session import Session
+from app.view import readouts
+from app.view.measuring import Measuring
+from app.view.part import Part
+from app.view.screen import Screen
+
+
+class ReadoutPanel(Part):
+    """Tabs with the read-outs and the legend; other parts add theirs to `panel`."""
+
+    def __init__(
+        self, server: viser.ViserServer, session: Session, screen: Screen, order: float
+    ) -> None:
+        """`order`: where in the panel of controls the line of the state stands."""
+        self._session, self._screen = session, screen
+        self._measuring = Measuring()
+        self._banner = server.gui.add_html("", order=order)
+        self.panel = server.gui.add_panel()
+        with self.panel.add_tab("Read-outs"):
+            self._table = server.gui.add_html("")
+        with self.panel.add_tab("Legend"):
+            server.gui.add_html(readouts.legend())
+        self.panel.dock_left()
+        self.panel.set_width(290)
+
+    def read_out(self, shown: Moment) -> None:
+        """Measure, and tell."""
+        options, telemetry = shown.options, shown.telemetry
+        extras = self._measuring.measure(shown, self._session.unwatched)
+        self._table.content = readouts.readouts(telemetry, options, extras)
+        if self._screen.live:
+            self._banner.content = readouts.banner(telemetry, options, extras, shown.clutched)
+        else:
+            self._banner.content = readouts.note(self._screen.caption)

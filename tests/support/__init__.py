@@ -1,0 +1,1 @@
+"""What tests share: oracles, files written by hand, processes to be killed, a browser's visitor."""

@@ -1,0 +1,61 @@
+"""What may import what: vf and robots and meshes know nothing of app, neither do their tests."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BELOW_APP = {"vf": {"vf"}, "robots": {"robots"}, "meshes": {"meshes", "vf"}}  # may import
+
+
+def imported(path: Path) -> set[str]:
+    """Dotted names of the modules that a file imports, wherever in it, and of what it takes."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            found |= {f"{node.module}.{name.name}" for name in node.names}
+    return found
+
+
+def reached(path: Path, seen: set[Path]) -> set[str]:
+    """The same, with what the modules of tests/support import that it imports."""
+    seen.add(path)
+    names = imported(path)
+    for module in (ROOT / "tests/support").glob("*.py"):
+        inside = f"tests.support.{module.stem}"
+        if module not in seen and any(f"{name}.".startswith(f"{inside}.") for name in names):
+            names |= reached(module, seen)
+    return names
+
+
+@pytest.mark.parametrize("package", BELOW_APP)
+def test_a_package_imports_only_those_below_it(package: str) -> None:
+    files = list((ROOT / package).rglob("*.py"))
+    assert files
+    others = {"app", "vf", "robots", "meshes", "tests"} - BELOW_APP[package]
+    for path in files:
+        tops = {name.split(".")[0] for name in imported(path)}
+        assert not tops & others, path
+
+
+@pytest.mark.parametrize("package", BELOW_APP)
+def test_tests_of_a_package_import_nothing_of_app(package: str) -> None:
+    files = list((ROOT / "tests" / package).rglob("*.py"))
+    assert files
+    for path in files:
+        tops = {name.split(".")[0] for name in reached(path, set())}
+        assert "app" not in tops, path
+
+
+def test_tests_share_what_is_in_support_and_nothing_else() -> None:
+    """No test module imports another."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        for name in imported(path):
+            assert not name.startswith("test_"), path
+            assert not name.startswith("tests.") or name.startswith("tests.support"), path
