@@ -32,7 +32,9 @@ from app.scene.work import Work
 from app.settings import DECLARED, MESH, Options, kind_of
 
 DEFAULTS = Options()
-LIVE = (Scope.FIXTURE, Scope.TELEOPERATION)  # of options that are set while a session runs
+LIVE = tuple(  # options that are set while a session runs
+    name for name, told in DECLARED.items() if told.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
+)
 
 
 class Session:
@@ -306,8 +308,8 @@ class Session:
             changed = set()
             try:
                 for name, value in changes.items():
-                    if name not in DECLARED or DECLARED[name].scope not in LIVE:
-                        raise Refused(f"{name} is nothing that is set while a session runs")
+                    if name not in LIVE:
+                        raise Refused(f"{name} is none of what is set live: {', '.join(LIVE)}")
                     kind = kind_of(name)
                     if isinstance(kind, Number) and value is not None:
                         changes[name] = kind.clamped(name, value)
