@@ -28,6 +28,7 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page, camera, help, keys, palette, recorder, signals, trail, who
 from app.view.depth import signed_distance
+from app.view.hand import Hand
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
 from tests.support.headless import wait_until
@@ -395,3 +396,30 @@ def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
             assert not session.suspended
         finally:
             page.close()
+
+
+def test_a_gizmo_that_is_moved_while_it_is_put_somewhere_is_put_back() -> None:
+    proxy, handle = MagicMock(), pin.SE3.Identity()
+    hand = Hand(
+        SimpleNamespace(handle=handle),  # type: ignore[arg-type]
+        SimpleNamespace(get_clients=dict),  # type: ignore[arg-type]
+        proxy,
+        lambda _client, _text: None,
+    )
+    try:
+        hand.let_go()
+        wait_until(lambda: hand._shown is None)
+
+        def moved_meanwhile(_handle: pin.SE3) -> None:
+            hand.let_go()
+            wait_until(lambda: hand._worker._work_queue.empty() and hand._shown is None)
+
+        proxy.place.side_effect = moved_meanwhile
+        hand.tend(None, False)
+        proxy.place.side_effect = None
+        hand.tend(None, False)
+        assert proxy.place.call_count == 2
+        hand.tend(None, False)
+        assert proxy.place.call_count == 2, "it is there: nothing is sent"
+    finally:
+        hand.close()
