@@ -17,7 +17,7 @@ from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
-LINGER = 1.0  # how long the mesh stays translucent once it hides the tip no longer [s]
+HOLD = 1.0  # how long the mesh stays translucent once it hides the tip no longer [s]
 
 
 class Anatomy(Part):
@@ -29,13 +29,13 @@ class Anatomy(Part):
         self._mesh: viser.MeshHandle | None = None
         self._visible = True
         self._translucent = False  # as the layer switch says
-        self._hides = -np.inf  # when it hid the tip last, monotonic time [s]
+        self._hidden_at = -np.inf  # when it hid the tip last, monotonic time [s]
         self._whole = True  # no part of it is cut away
 
     def set_scene(self, scene: Scene) -> None:
         """Draw another mesh in place of the old one."""
         self._scene = scene
-        self._hides = -np.inf
+        self._hidden_at = -np.inf
         self.cut(None)
 
     def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
@@ -73,9 +73,11 @@ class Anatomy(Part):
     def frame(self, shown: Moment, clients: Clients) -> None:
         """Let everybody see the tip."""
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
-        self.look_through(eyes, np.array(shown.tip.translation))
+        self.keep_tip_visible(eyes, np.array(shown.tip.translation))
 
-    def look_through(self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> None:
+    def keep_tip_visible(
+        self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]
+    ) -> None:
         """Let the tip p_tip (3,) [m] be seen from every eye (3,) in scene units.
 
         The mesh is one for all clients: it is translucent while it hides the tip from any of them.
@@ -89,12 +91,12 @@ class Anatomy(Part):
                 for eye in eyes
             )
         ):
-            self._hides = time.monotonic()
+            self._hidden_at = time.monotonic()
         self._draw()
 
     @property
     def _opacity(self) -> float | None:
-        hides = time.monotonic() < self._hides + LINGER
+        hides = time.monotonic() < self._hidden_at + HOLD
         return TRANSLUCENT if self._translucent or hides else None
 
     def _draw(self) -> None:

@@ -12,7 +12,7 @@ from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 from robots import Arm
 
-RESTING = 1e-7  # poses that change by less are not sent [m, quaternion units]
+MIN_CHANGE = 1e-7  # poses that change by less are not sent [m, quaternion units]
 
 
 class ArmDrawing(Part):
@@ -70,8 +70,8 @@ class ArmDrawing(Part):
                 np.full(7, np.inf) if self._shown is None else placements[row] - self._shown[row]
             )
             # Each half costs as much as the other, and many links only turn or only shift.
-            if np.abs(changed[:4]).max() > RESTING:
+            if np.abs(changed[:4]).max() > MIN_CHANGE:
                 node.wxyz = placements[row, :4]
-            if np.abs(changed[4:]).max() > RESTING:
+            if np.abs(changed[4:]).max() > MIN_CHANGE:
                 node.position = to_view(placements[row, 4:])
         self._shown = placements

@@ -18,8 +18,8 @@ FIELD_OF_VIEW = np.deg2rad(40.0)  # vertical [rad]
 # viser has no orthographic camera. A lens this narrow, 20 times as far away, comes near one: what
 # is half a picture's height nearer than the middle is drawn 1.8 % larger.
 PARALLEL = np.deg2rad(2.0)
-NEAREST = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
-FARTHEST_DRAWN = 2000.0  # 20 m
+NEAR_PLANE = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
+FAR_PLANE = 2000.0  # 20 m
 # From the front right and above, the side of the mesh that the arms' bodies do not hide.
 DIRECTION = np.array([0.55, 0.62, 0.56]) / np.linalg.norm([0.55, 0.62, 0.56])
 
@@ -57,7 +57,7 @@ def site_half_height(scene: Scene) -> float:
     """Half of what `site_view` shows from top to bottom [m]."""
     # A motion sphere of 5 mm is then larger than the gizmo.
     half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.034))
-    return max(half_height, 2.0 * _girth(scene))
+    return max(half_height, 2.0 * _width_at_tip(scene))
 
 
 def axis_view(scene: Scene, p_tip: FloatArray, name: str) -> View:
@@ -181,20 +181,20 @@ class Following:
                 client.camera.look_at = to_view(p_tip)
 
 
-def compose_first_sight(server: viser.ViserServer, view: View) -> None:
+def set_initial_camera(server: viser.ViserServer, view: View) -> None:
     """What new clients start with, and where "reset view" goes."""
     camera = server.initial_camera
     camera.up = (0.0, 0.0, 1.0)
     camera.fov = FIELD_OF_VIEW
-    camera.near = NEAREST
-    camera.far = FARTHEST_DRAWN
+    camera.near = NEAR_PLANE
+    camera.far = FAR_PLANE
     camera.position = to_view(view.eye)
     camera.look_at = to_view(view.look_at)
 
 
 def move(client: viser.ClientHandle, view: View) -> None:
     """Put one client's camera there; its lens stays what it is."""
-    away = _same_size(to_view(view.eye - view.look_at), FIELD_OF_VIEW, client.camera.fov)
+    away = _rescaled(to_view(view.eye - view.look_at), FIELD_OF_VIEW, client.camera.fov)
     with client.atomic():
         client.camera.up_direction = view.up
         client.camera.position = to_view(view.look_at) + away
@@ -205,12 +205,12 @@ def set_lens(client: viser.ClientHandle, fov: float) -> None:
     """Give one client another field of view [rad]; what it looks at keeps its size."""
     camera = client.camera
     look_at = np.array(camera.look_at)
-    away = _same_size(camera.position - look_at, camera.fov, fov)
+    away = _rescaled(camera.position - look_at, camera.fov, fov)
     with client.atomic():
         camera.fov = fov
         camera.position = look_at + away
         camera.look_at = look_at
-    keep_depth(client)
+    update_clipping(client)
 
 
 def is_parallel(client: viser.ClientHandle) -> bool:
@@ -218,19 +218,19 @@ def is_parallel(client: viser.ClientHandle) -> bool:
     return bool(client.camera.fov < 0.5 * (PARALLEL + FIELD_OF_VIEW))
 
 
-def keep_depth(client: viser.ClientHandle) -> None:
+def update_clipping(client: viser.ClientHandle) -> None:
     """Have a far camera tell near from far: its clipping planes go along with its distance."""
     camera = client.camera
-    near, far = NEAREST, FARTHEST_DRAWN
+    near, far = NEAR_PLANE, FAR_PLANE
     if is_parallel(client):
         distance = float(np.linalg.norm(camera.position - camera.look_at))
-        near, far = 0.5 * distance, distance + FARTHEST_DRAWN
+        near, far = 0.5 * distance, distance + FAR_PLANE
     # What changes little is not worth a message.
     if not 0.8 < camera.near / near < 1.25:
         camera.near, camera.far = near, far
 
 
-def _same_size(away: FloatArray, before: float, after: float) -> FloatArray:
+def _rescaled(away: FloatArray, before: float, after: float) -> FloatArray:
     """From what is looked at to the eye, so that another field of view [rad] shows as much."""
     return away * np.tan(0.5 * before) / np.tan(0.5 * after)
 
@@ -241,7 +241,7 @@ def _framing(centre: FloatArray, half_height: float) -> View:
     return View(centre + distance * DIRECTION, centre)
 
 
-def _girth(scene: Scene) -> float:
+def _width_at_tip(scene: Scene) -> float:
     """How far the arm reaches sideways around its tip [m]: a thick hand needs a wider view."""
     p_tip = scene.T_base_start.translation
     widest = 0.0

@@ -25,8 +25,12 @@ class CorridorControl(Part):
     """Switch and width of the corridor; there is nothing to switch where no path is planned."""
 
     def __init__(self, context: PageContext) -> None:
-        self._session, self._hand, self._tell = context.session, context.hand, context.tell
-        self._screen = context.screen
+        self._session, self._input, self._notify = (
+            context.session,
+            context.client_input,
+            context.notify,
+        )
+        self._source = context.source
         self._api = context.server.scene
         self._drawn: tuple[int, float | None] | None = None
         self._name = context.labels.add("/corridor/name", "planned cut", anchor="top-left")
@@ -41,7 +45,7 @@ class CorridorControl(Part):
                 "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low, max=high, step=0.1
             )
         self._field = NumberField(
-            self._width, (low, high), self._hand, self._tell, self._take, self._in_force
+            self._width, (low, high), self._input, self._notify, self._take, self._in_force
         )
         self._on.on_update(self._switched)
 
@@ -73,24 +77,24 @@ class CorridorControl(Part):
             self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
 
     def read_out(self, shown: Moment) -> None:
-        live = self._screen.live
+        live = self._source.live
         self._on.disabled = self._width.disabled = not live
         show(self._on, shown.options.corridor is not None)
         self._field.sync()
 
     def _in_force(self) -> float | None:
-        width = self._screen.shown.options.corridor
+        width = self._source.shown.options.corridor
         return None if width is None else width * 1e3
 
     async def _switched(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:  # None: we set it ourselves
-            self._hand.submit(self._switch, event.client, bool(event.target.value))
+            self._input.submit(self._switch, event.client, bool(event.target.value))
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         try:
             self._session.set(corridor=float(self._width.value) * 1e-3 if on else None)
         except ValueError as error:
-            self._tell(client, f"{error}")
+            self._notify(client, f"{error}")
 
     def _take(self, width: float) -> None:
         """A width [mm]; without a corridor it is for later."""

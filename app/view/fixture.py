@@ -19,13 +19,15 @@ from app.view.units import to_buffer, to_view, turn_z_to
 FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
-SLOTS = 128  # planes drawn at most; rule "all" can make a thousand
-CLEAR = 12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
+MAX_PLANES = 128  # planes drawn at most; rule "all" can make a thousand
+MAX_DISCS = (
+    12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
+)
 # Opacities of the discs, and those for when what is under them is inspected.
-CALM = (0.3, 0.1)
-STRONG = (0.65, 0.3)
-BLOCKS_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of its disc
-LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
+IDLE_OPACITY = (0.3, 0.1)
+ACTIVE_OPACITY = (0.65, 0.3)
+BLOCKING_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of its disc
+MIN_PUSH = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
 
 
 class FixtureDrawing(Part):
@@ -52,8 +54,8 @@ class FixtureDrawing(Part):
             visible=False,
         )
         disc, rim = _disc(), _rim()
-        self._calm = _batch(api, f"{root}/discs", disc, opacity=CALM[0])
-        self._leaning = _batch(api, f"{root}/discs_leaning", disc, opacity=STRONG[0])
+        self._idle_discs = _batch(api, f"{root}/discs", disc, opacity=IDLE_OPACITY[0])
+        self._active_discs = _batch(api, f"{root}/discs_leaning", disc, opacity=ACTIVE_OPACITY[0])
         self._rims = _batch(api, f"{root}/rims", rim)
         self._normals = _batch(api, f"{root}/normals", _arrow())
         # Of the plane that pushes most: a thick ring, a large arrow, a word.
@@ -69,7 +71,7 @@ class FixtureDrawing(Part):
             )
             for name, shape in (
                 ("ring", _rim(inner=0.93)),
-                ("arrow", _arrow(BLOCKS_LENGTH, thickness=2.2)),
+                ("arrow", _arrow(BLOCKING_LENGTH, thickness=2.2)),
             )
         ]
         self._blocks = labels.add(f"{root}/blocks", anchor="bottom-left")
@@ -89,8 +91,8 @@ class FixtureDrawing(Part):
         # Light and shade fall on the triangles; their edges have the legend's colours as they are.
         self._edges = api.add_line_segments(
             f"{root}/edges",
-            points=np.zeros((3 * SLOTS, 2, 3), dtype=np.float32),
-            colors=np.zeros((3 * SLOTS, 2, 3), dtype=np.uint8),
+            points=np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.float32),
+            colors=np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.uint8),
             thickness=2.5,
             thickness_units="screen",
             visible=False,
@@ -99,7 +101,7 @@ class FixtureDrawing(Part):
         self.show_planes = True
         self.show_normals = True
         self.show_triangles = True
-        self.withdrawn = False
+        self.suppressed = False
         """Somebody else is on the stage: draw nothing."""
         self.inspected = False
         """Somebody else draws the triangles, with more to say about them: let them be seen."""
@@ -123,7 +125,7 @@ class FixtureDrawing(Part):
         surface: vf.Surface,
     ) -> None:
         """Draw planes around p_tip (3,); each pushed back by its multiplier (m,) [m]."""
-        self._sphere.visible = self.show_sphere and not self.withdrawn
+        self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
             self._sphere.position = to_view(p_tip)
             self._sphere.scale = float(to_view(radius))
@@ -133,7 +135,14 @@ class FixtureDrawing(Part):
 
     def hide(self) -> None:
         """Take everything away until the next `draw`."""
-        nodes = (self._edges, self._sphere, self._calm, self._leaning, self._rims, self._normals)
+        nodes = (
+            self._edges,
+            self._sphere,
+            self._idle_discs,
+            self._active_discs,
+            self._rims,
+            self._normals,
+        )
         for node in (*nodes, *self._blocking, *self._triangles.values()):
             node.visible = False
         self._blocks.visible = False
@@ -146,40 +155,43 @@ class FixtureDrawing(Part):
         multipliers: FloatArray,
         chosen: NDArray[np.intp],
     ) -> None:
-        any_plane = len(chosen) > 0 and not self.withdrawn
-        for batch in (self._calm, self._leaning, self._rims):
+        any_plane = len(chosen) > 0 and not self.suppressed
+        for batch in (self._idle_discs, self._active_discs, self._rims):
             batch.visible = self.show_planes and any_plane
         self._normals.visible = self.show_normals and any_plane
         strongest = float(multipliers[chosen].max(initial=0.0))
-        blocks = self.show_planes and any_plane and strongest > LEANING
+        blocks = self.show_planes and any_plane and strongest > MIN_PUSH
         self._blocks.visible = blocks
         for node in self._blocking:
             node.visible = blocks
         if not any_plane:
             return
-        for batch, opacities in ((self._calm, CALM), (self._leaning, STRONG)):
+        for batch, opacities in (
+            (self._idle_discs, IDLE_OPACITY),
+            (self._active_discs, ACTIVE_OPACITY),
+        ):
             if batch.opacity != opacities[self.inspected]:
                 batch.opacity = opacities[self.inspected]
         normals = planes.normals[chosen]
         centres, radii = discs(normals, planes.offsets[chosen], p_tip, radius)
         pushes = multipliers[chosen]
-        leaning = pushes > LEANING
+        active = pushes > MIN_PUSH
         rank = np.argsort(np.argsort(np.abs(planes.slack(p_tip)[chosen]), kind="stable"))
-        near = (rank < CLEAR) | leaning
+        near = (rank < MAX_DISCS) | active
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
         # At the centre of its disc, where the tool is, an arrow would be hidden by the tool.
         feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
-        if strongest > LEANING:
+        if strongest > MIN_PUSH:
             looks = [
-                palette.tinted(color, push / strongest) if leans else color
-                for color, push, leans in zip(looks, pushes, leaning, strict=True)
+                palette.tinted(color, push / strongest) if pushes_back else color
+                for color, push, pushes_back in zip(looks, pushes, active, strict=True)
             ]
         colors = palette.linear(_padded(np.array(looks)).astype(np.uint8))
         scales = to_view(radii)
         for batch, place, scale in (
-            (self._calm, positions, np.where(near & ~leaning, scales, 0.0)),
-            (self._leaning, positions, np.where(leaning, scales, 0.0)),
+            (self._idle_discs, positions, np.where(near & ~active, scales, 0.0)),
+            (self._active_discs, positions, np.where(active, scales, 0.0)),
             (self._rims, positions, scales),
             (self._normals, feet, np.where(near, to_view(radius), 0.0)),
         ):
@@ -196,14 +208,14 @@ class FixtureDrawing(Part):
                 node.wxyz = wxyzs[most]
                 node.position = to_view(place)
                 node.scale = float(scales[most])
-            self._blocks.position = to_view(foot + BLOCKS_LENGTH * radii[most] * normals[most])
+            self._blocks.position = to_view(foot + BLOCKING_LENGTH * radii[most] * normals[most])
             self._blocks.text = f"blocks: takes {1e3 * strongest:.2g} mm off each step"
 
     def _draw_triangles(
         self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]
     ) -> None:
         chosen = chosen[planes.triangles[chosen] >= 0]
-        shown = self.show_triangles and not (self.withdrawn or self.inspected)
+        shown = self.show_triangles and not (self.suppressed or self.inspected)
         lift = 0.01 * radius  # towards the tool, clear of the mesh's own triangles [m]
         for rule, node in self._triangles.items():
             mine = chosen[planes.rules[chosen] == rule]
@@ -219,10 +231,10 @@ class FixtureDrawing(Part):
             corners = surface.vertices[surface.faces[planes.triangles[chosen]]]  # (k, 3, 3)
             corners = corners + 1.5 * lift * planes.normals[chosen][:, None, :]
             ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-            unused = np.tile(ends[-1:, :1], (3 * SLOTS - len(ends), 2, 1))  # without length
+            unused = np.tile(ends[-1:, :1], (3 * MAX_PLANES - len(ends), 2, 1))  # without length
             self._edges.points = to_buffer(np.concatenate([ends, unused]))
             looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
-            colors = np.zeros((3 * SLOTS, 2, 3), dtype=np.uint8)
+            colors = np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.uint8)
             colors[: len(ends)] = np.repeat(np.array(looks, dtype=np.uint8), 3, axis=0)[:, None, :]
             self._edges.colors = palette.linear(colors)
 
@@ -231,7 +243,7 @@ def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArra
     """Which planes to draw: those that cut the sphere, the nearest ones if there are too many."""
     slack = planes.slack(p_tip)
     order = np.argsort(np.abs(slack), kind="stable")
-    return np.sort(order[np.abs(slack[order]) < radius][:SLOTS])
+    return np.sort(order[np.abs(slack[order]) < radius][:MAX_PLANES])
 
 
 def discs(
@@ -251,8 +263,8 @@ def _towards_viewer(normals: FloatArray) -> FloatArray:
 
 
 def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:
-    """Rows filled up with zeros to `SLOTS` of them."""
-    out = np.zeros((SLOTS, *rows.shape[1:]), dtype=np.float32)
+    """Rows filled up with zeros to `MAX_PLANES` of them."""
+    out = np.zeros((MAX_PLANES, *rows.shape[1:]), dtype=np.float32)
     out[: len(rows)] = rows
     return out
 
@@ -263,10 +275,10 @@ def _batch(
     return api.add_batched_meshes_simple(
         name,
         *shape,
-        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (SLOTS, 1)),
-        batched_positions=np.zeros((SLOTS, 3)),
-        batched_scales=np.zeros(SLOTS, dtype=np.float32),
-        batched_colors=np.zeros((SLOTS, 3), dtype=np.uint8),
+        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (MAX_PLANES, 1)),
+        batched_positions=np.zeros((MAX_PLANES, 3)),
+        batched_scales=np.zeros(MAX_PLANES, dtype=np.float32),
+        batched_colors=np.zeros((MAX_PLANES, 3), dtype=np.uint8),
         opacity=opacity,
         side="double",
         lod="off",

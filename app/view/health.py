@@ -18,7 +18,7 @@ from meshes import Finding, Health
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOST = 20_000  # faces, edges or vertices drawn of one finding, evenly chosen
+MAX_DRAWN = 20_000  # faces, edges or vertices drawn of one finding, evenly chosen
 
 # Bright ones that bone has nothing of; the planes' colours are lighter and come in discs.
 DEFECT: Rgb = palette.VERMILION
@@ -57,16 +57,16 @@ def marks(report: Health, surface: vf.Surface) -> Marks:
     edges = {kind: np.empty((0, 2, 3)) for kind in EDGES}
     points: list[IntArray] = []
     for finding in report.findings:
-        ids = _some(finding.ids)
+        ids = _subset(finding.ids)
         if finding.of == "faces":
             faces[finding.defect].append(ids)
         elif finding.of == "edges":
             edges[finding.kind] = v[ids]
         else:
             points.append(ids)
-    defects = _united(faces[True])
-    notes = np.setdiff1d(_united(faces[False]), defects)
-    return Marks(v[f[defects]], v[f[notes]], edges, v[_united(points)])
+    defects = _unique(faces[True])
+    notes = np.setdiff1d(_unique(faces[False]), defects)
+    return Marks(v[f[defects]], v[f[notes]], edges, v[_unique(points)])
 
 
 class HealthDrawing:
@@ -180,7 +180,7 @@ def report(found: Health) -> str:
 
 
 def _item(finding: Finding) -> str:
-    more = f", {MOST:,} of them drawn" if len(finding.ids) > MOST else ""
+    more = f", {MAX_DRAWN:,} of them drawn" if len(finding.ids) > MAX_DRAWN else ""
     return (
         "<div style='display:flex;gap:7px;margin-top:5px'>"
         "<span style='flex:none;width:11px;height:11px;margin-top:3px;border-radius:2px;"
@@ -191,13 +191,13 @@ def _item(finding: Finding) -> str:
     )
 
 
-def _some(ids: IntArray) -> IntArray:
-    if len(ids) <= MOST:
+def _subset(ids: IntArray) -> IntArray:
+    if len(ids) <= MAX_DRAWN:
         return ids
-    return ids[np.linspace(0, len(ids) - 1, MOST).astype(np.int64)]
+    return ids[np.linspace(0, len(ids) - 1, MAX_DRAWN).astype(np.int64)]
 
 
-def _united(ids: list[IntArray]) -> IntArray:
+def _unique(ids: list[IntArray]) -> IntArray:
     return np.unique(np.concatenate(ids)) if ids else np.empty(0, dtype=np.int64)
 
 

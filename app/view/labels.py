@@ -19,7 +19,7 @@ import viser
 from numpy.typing import ArrayLike, NDArray
 
 from app.recording.playback import Moment
-from app.view.camera import NEAREST
+from app.view.camera import NEAR_PLANE
 from app.view.part import Clients, Part
 
 FloatArray = NDArray[np.float64]
@@ -50,7 +50,7 @@ IMPORTANCE = (
 
 # Distances between labels [px]. A label goes only to a place that is clear, and leaves it only when
 # that is taken: it does not flicker while two of them graze each other.
-CLEAR, TAKEN = 4.0, 1.0
+NEW_GAP, KEPT_GAP = 4.0, 1.0
 
 EM = 12.0  # height of the letters of a label of scale 1 [px], see LabelRenderer.tsx of viser 1.1
 # viser draws in the browser's own font. These are upper bounds for those of the usual systems.
@@ -81,7 +81,7 @@ class Label:
     visible: bool = False
 
 
-class Eye(NamedTuple):
+class Camera(NamedTuple):
     """How somebody looks at the scene.
 
     Attributes:
@@ -107,7 +107,7 @@ class Box(NamedTuple):
     bottom: float
 
 
-class Wanted(NamedTuple):
+class Candidate(NamedTuple):
     """A label to be placed: its point (u, v) in the picture and its size [px], its preference."""
 
     u: float
@@ -127,7 +127,7 @@ class Labels(Part):
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._labels: dict[str, Label] = {}
-        self._sights: dict[int, _Sight] = {}  # by client
+        self._clients: dict[int, _ClientLabels] = {}  # by client
 
     def add(self, name: str, text: str = "", *, anchor: Anchor, scale: float = 0.8) -> Label:
         """A new label, not visible yet.
@@ -153,17 +153,17 @@ class Labels(Part):
 
     def place(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         """Show every client its labels. From the view thread, once the frame's are all set."""
-        for gone in self._sights.keys() - clients.keys():
-            del self._sights[gone]
+        for gone in self._clients.keys() - clients.keys():
+            del self._clients[gone]
         labels = self._wanted()
         for client_id, client in clients.items():
-            if client_id not in self._sights:
-                self._sights[client_id] = _Sight(client.scene, self._labels)
+            if client_id not in self._clients:
+                self._clients[client_id] = _ClientLabels(client.scene, self._labels)
             camera = client.camera
             picture = camera.image_width, camera.image_height
-            eye = Eye(camera.position, _axes(camera.wxyz), camera.fov, *picture)
+            eye = Camera(camera.position, _axes(camera.wxyz), camera.fov, *picture)
             with client.atomic():
-                self._sights[client_id].show(labels, eye)
+                self._clients[client_id].show(labels, eye)
 
     @contextmanager
     def in_scene(self) -> Iterator[None]:
@@ -171,9 +171,9 @@ class Labels(Part):
         file; as they are seen from where new clients look. Nobody's own labels change by that."""
         camera = self._server.initial_camera
         place = np.asarray(camera.position, dtype=np.float64)
-        axes = _looking(place, camera.look_at)
-        eye = Eye(place, axes, float(camera.fov), *PICTURE)
-        sight = _Sight(self._server.scene, self._labels)
+        axes = _look_at(place, camera.look_at)
+        eye = Camera(place, axes, float(camera.fov), *PICTURE)
+        sight = _ClientLabels(self._server.scene, self._labels)
         try:
             sight.show(self._wanted(), eye)
             yield
@@ -192,7 +192,7 @@ class Labels(Part):
 
 
 @dataclass
-class _Sight:
+class _ClientLabels:
     """The labels that one client is shown; or all of them, where it is the shared scene."""
 
     api: viser.SceneApi
@@ -214,7 +214,7 @@ class _Sight:
             for name, label in self.labels.items()
         }
 
-    def show(self, labels: Texts, eye: Eye) -> None:
+    def show(self, labels: Texts, eye: Camera) -> None:
         """Place these labels as seen by an eye, and show those that there is room for."""
         now = (labels, eye.place.tobytes(), eye.R.tobytes(), *eye[2:])
         if now == self._last:
@@ -227,7 +227,7 @@ class _Sight:
         for (name, (text, _)), (u, v), seen in rows:
             if seen:
                 label = self.labels[name]
-                wanted[name] = Wanted(u, v, *size(text, label.scale), label.anchor)
+                wanted[name] = Candidate(u, v, *size(text, label.scale), label.anchor)
         self.anchors = arrange(wanted, self.anchors)
         for name, node in self._nodes.items():
             anchor = self.anchors.get(name)
@@ -243,7 +243,7 @@ class _Sight:
 
 
 def arrange(
-    wanted: Mapping[str, Wanted], last: Mapping[str, Anchor | None]
+    wanted: Mapping[str, Candidate], last: Mapping[str, Anchor | None]
 ) -> dict[str, Anchor | None]:
     """An anchor for each label so that no two overlap; None: there is no room for it.
 
@@ -257,8 +257,8 @@ def arrange(
         placed[name] = None
         for anchor in choices(label.anchor):
             it = box(label, anchor)
-            gap = TAKEN if last.get(name) == anchor else CLEAR
-            if not any(_near(it, other, gap) for other in taken):
+            gap = KEPT_GAP if last.get(name) == anchor else NEW_GAP
+            if not any(_overlap(it, other, gap) for other in taken):
                 placed[name] = anchor
                 taken.append(it)
                 break
@@ -271,7 +271,7 @@ def choices(anchor: Anchor) -> tuple[Anchor, ...]:
     return _CHOICES[anchor]
 
 
-def box(label: Wanted, anchor: Anchor) -> Box:
+def box(label: Candidate, anchor: Anchor) -> Box:
     """The rectangle of a label with that anchor at its point."""
     vertical, horizontal = anchor.split("-")
     left = label.u - _SHARES[horizontal] * label.width
@@ -287,13 +287,13 @@ def size(text: str, scale: float) -> tuple[float, float]:
     return letter * (width + PADDING * LINE), letter * LINE * (1.0 + PADDING)
 
 
-def project(points: FloatArray, eye: Eye) -> tuple[FloatArray, NDArray[np.bool_]]:
+def project(points: FloatArray, eye: Camera) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where points (n, 3), scene units, are in a picture (n, 2) [px], and which the eye is before.
 
     The others, behind the eye or beside it, have no place in the picture: theirs means nothing.
     """
     right, down, forward = ((points - eye.place) @ eye.R).T
-    in_front = forward > NEAREST
+    in_front = forward > NEAR_PLANE
     focal = 0.5 * eye.height / np.tan(0.5 * eye.fov)
     scale = focal / np.where(in_front, forward, 1.0)
     middle = 0.5 * np.array([eye.width, eye.height])
@@ -314,7 +314,7 @@ _CHOICES: dict[Anchor, tuple[Anchor, ...]] = {a: _choices(a) for a in get_args(A
 _SHARES = {"left": 0.0, "top": 0.0, "center": 0.5, "right": 1.0, "bottom": 1.0}
 
 
-def _near(a: Box, b: Box, gap: float) -> bool:
+def _overlap(a: Box, b: Box, gap: float) -> bool:
     return (
         a.left < b.right + gap
         and b.left < a.right + gap
@@ -334,7 +334,7 @@ def _axes(wxyz: FloatArray) -> FloatArray:
     return np.asarray(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
 
 
-def _looking(place: FloatArray, look_at: ArrayLike) -> FloatArray:
+def _look_at(place: FloatArray, look_at: ArrayLike) -> FloatArray:
     """The axes (3, 3) of a camera that looks from one place to another, level."""
     forward = np.asarray(look_at, dtype=np.float64) - place
     forward /= np.linalg.norm(forward)

@@ -43,7 +43,7 @@ class MeshTab(Part):
 
     def __init__(self, context: PageContext) -> None:
         self._session = context.session
-        self._tell = context.tell
+        self._notify = context.notify
         self._escape = context.escape
         self._drawing = health.HealthDrawing(context.server.scene)
         self._examining = threading.Lock()
@@ -51,7 +51,7 @@ class MeshTab(Part):
         # The scene that the report is on, the report and its marks.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
         self._library = context.library
-        self._screen = context.screen
+        self._source = context.source
         server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
         with context.left.add_tab("Mesh"):
@@ -62,7 +62,7 @@ class MeshTab(Part):
                 icon=viser.Icon.UPLOAD,
             )
             self._state = server.gui.add_html("")
-            self._halt = server.gui.add_button(
+            self._stop = server.gui.add_button(
                 "Stop", hint="Give up the work on the mesh: nothing is changed.", disabled=True
             )
             self._files: Any = server.gui.add_dropdown(
@@ -87,7 +87,7 @@ class MeshTab(Part):
             self._flip = server.gui.add_button(
                 "Flip", hint="Turn open sheets over: they have no outside to be known by."
             )
-        context.uploads.take(
+        context.uploads.register(
             self._upload,
             Receiver(
                 meshes.FORMATS,
@@ -95,31 +95,31 @@ class MeshTab(Part):
                 "start the sandbox with --upload-limit to allow more",
                 self._library.coming,
                 self._library.refusal,
-                self._ask,
+                self._ask_unit,
             ),
         )
-        self._say("")
-        self._offer()
+        self._set_state("")
+        self._update_buttons()
 
         # Plain functions: viser runs them in its pool, where they may take their time.
         @self._examine.on_click
         def _examine(event: viser.GuiEvent[Any]) -> None:
             if self._examining.locked():
-                self._tell(event.client, "The mesh is being examined: wait until that is done.")
+                self._notify(event.client, "The mesh is being examined: wait until that is done.")
             else:
-                self._try(event.client, lambda: self._look(self._session.scene))
+                self._run(event.client, lambda: self._run_examination(self._session.scene))
 
         @self._repair.on_click
         def _repair(event: viser.GuiEvent[Any]) -> None:
-            self._try(event.client, lambda: self._change(repair=True))
+            self._run(event.client, lambda: self._change(repair=True))
 
         @self._flip.on_click
         def _flip(event: viser.GuiEvent[Any]) -> None:
             flip = not self._session.options.flip
-            self._try(event.client, lambda: self._change(flip=flip))
+            self._run(event.client, lambda: self._change(flip=flip))
 
-        @self._halt.on_click
-        def _halt(_event: viser.GuiEvent[Any]) -> None:
+        @self._stop.on_click
+        def _stop(_event: viser.GuiEvent[Any]) -> None:
             self._session.work.stop()
 
         @self._delete.on_click
@@ -134,7 +134,7 @@ class MeshTab(Part):
     def set_scene(self, scene: Scene) -> None:
         """The report on another mesh is no longer true; that on the session's is kept for it."""
         self._scene = scene
-        if self._screen.live and self._examined and self._examined[0].version != scene.version:
+        if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
         self._show_report()
 
@@ -146,7 +146,7 @@ class MeshTab(Part):
             self._files.options = names
             self._files.value = value
         self._files.visible = self._delete.visible = names != (NONE,)
-        self._offer()
+        self._update_buttons()
 
     def _ask_to_delete(self, client: viser.ClientHandle) -> None:
         file = _labels(self._library.kept()).get(self._files.value)
@@ -165,18 +165,18 @@ class MeshTab(Part):
             try:
                 self._library.delete(file.name, self._session.options.mesh)
             except OSError as error:
-                self._tell(client, f"Not deleted: {error.strerror or error}.")
+                self._notify(client, f"Not deleted: {error.strerror or error}.")
             except ValueError as error:
-                self._tell(client, f"Not deleted: {error}.")
+                self._notify(client, f"Not deleted: {error}.")
 
         dialogs.ask(
             client, self._escape, "Delete the mesh file?", text, "Delete", delete, color="red"
         )
 
-    def _ask(self, client: viser.ClientHandle, path: Path) -> None:
+    def _ask_unit(self, client: viser.ClientHandle, path: Path) -> None:
         """Ask the one who sent a file for what it does not say, then use it."""
         found: list[tuple[float, str | None]] = []
-        self._try(client, lambda: found.append(self._measured(path)), path.name)
+        self._run(client, lambda: found.append(self._measured(path)), path.name)
         if not found:
             shutil.rmtree(path.parent, ignore_errors=True)
             return
@@ -217,7 +217,7 @@ class MeshTab(Part):
             facing = str(up.value)
             self._escape.closed(client.client_id, drop)
             if dialogs.close(dialog):
-                self._try(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
+                self._run(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
 
         for unit, button in choices.items():
             button.on_click(functools.partial(choose, unit))
@@ -227,27 +227,27 @@ class MeshTab(Part):
             self._escape.closed(client.client_id, drop)
             drop()
 
-    def _try(
+    def _run(
         self, client: viser.ClientHandle | None, job: Callable[[], None], about: str = ""
     ) -> None:
         """Do one slow thing; whatever comes of it, the page goes on."""
         try:
             job()
-            self._say("")
+            self._set_state("")
         except Refused as error:  # other work is under way, which the line above is about
-            self._tell(client, f"Nothing is changed: {error}")
+            self._notify(client, f"Nothing is changed: {error}")
         except Exception as error:
             # Whatever a reader of a user's file may raise, the old mesh stays.
-            self._say(f"{about}: not taken. {error}".removeprefix(": "), palette.VERMILION)
-            self._tell(client, f"Nothing is changed: {error}")
+            self._set_state(f"{about}: not taken. {error}".removeprefix(": "), palette.VERMILION)
+            self._notify(client, f"Nothing is changed: {error}")
         finally:
-            self._offer()
+            self._update_buttons()
 
     def _measured(self, path: Path) -> tuple[float, str | None]:
         """The file's diagonal in its own unit, and that unit if it says it."""
         work = functools.partial(measure, str(path))
         with self._session.work.begin() as stop:
-            self._offer()
+            self._update_buttons()
             if worker.light(str(path)):
                 return work(progress=self._progress)
             allowed = worker.allowance(str(path))
@@ -269,14 +269,14 @@ class MeshTab(Part):
 
     def _change(self, **wanted: Any) -> None:
         with self._session.work.begin() as stop:
-            self._offer()
+            self._update_buttons()
             scene = self._session.change(**wanted, progress=self._progress, stop=stop)
-        self._look(scene)
+        self._run_examination(scene)
 
-    def _look(self, scene: Scene) -> None:
+    def _run_examination(self, scene: Scene) -> None:
         """Examine a scene's mesh and show what is found."""
         with self._examining:
-            self._offer()
+            self._update_buttons()
             found = meshes.health(
                 scene.surface, progress=lambda stage: self._progress(f"examining: {stage}")
             )
@@ -290,7 +290,7 @@ class MeshTab(Part):
             health.marks(found, scene.surface),
             lift,
         )
-        if self._screen.live:
+        if self._source.live:
             self._show_report(scene)
 
     def _show_report(self, scene: Scene | None = None) -> None:
@@ -307,21 +307,21 @@ class MeshTab(Part):
             self._report.content = _UNKNOWN
             self._drawing.set(None)
 
-    def _offer(self) -> None:
-        going, live = self._session.work.going, self._screen.live
+    def _update_buttons(self) -> None:
+        going, live = self._session.work.going, self._source.live
         busy = going or self._examining.locked() or not live
         self._upload.disabled = not live
         repaired = self._session.options.repair
         self._examine.disabled = self._flip.disabled = busy
-        self._halt.disabled = not going
+        self._stop.disabled = not going
         self._repair.disabled = busy or repaired
         self._repair.label = "Repaired" if repaired else "Repair"
         self._flip.label = "Flip back" if self._session.options.flip else "Flip"
 
     def _progress(self, text: str) -> None:
-        self._say(f"⏳ {text} …", palette.BLUE)
+        self._set_state(f"⏳ {text} …", palette.BLUE)
 
-    def _say(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
+    def _set_state(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
         # As high with text as without: what comes and goes moves no button from under the mouse.
         style = f"{_STYLE};height:2.7em;overflow-y:auto;color:{palette.css(color)}"
         content = f"<div style='{style}'>{html.escape(text)}</div>"

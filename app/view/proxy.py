@@ -14,7 +14,7 @@ from app.view.part import Clients, Part
 from app.view.units import pose_to_view, to_buffer, to_view
 
 GIZMO_SIZE = 62.0  # length of its arrows [px]
-TAUT = 5e-5  # a shorter tether is not drawn [m]
+MIN_TETHER = 5e-5  # a shorter tether is not drawn [m]
 
 
 class Proxy(Part):
@@ -54,8 +54,8 @@ class Proxy(Part):
         self._show_tether = True
         self._show_labels = True
         self.holder = ""
-        """Who drags the gizmo, if that is to be said."""
-        self.withdrawn = False
+        """ClientLines drags the gizmo, if that is to be said."""
+        self.suppressed = False
         """Somebody else is on the stage: draw nothing."""
 
     def show_tether(self, visible: bool) -> None:
@@ -90,14 +90,14 @@ class Proxy(Part):
 
         Without a handle there is only a proxy.
         """
-        withdrawn = self.withdrawn or (handle is None and target is None)
-        by_hand = handle is not None and not withdrawn
+        suppressed = self.suppressed or (handle is None and target is None)
+        by_hand = handle is not None and not suppressed
         if handle is None:
             handle = pin.SE3(np.eye(3), p_tip) if target is None else target
             apart = target is not None
         else:
             apart = target is not None and bool(
-                np.abs(target.translation - handle.translation).max() > TAUT
+                np.abs(target.translation - handle.translation).max() > MIN_TETHER
             )
         self._name.position = to_view(handle.translation)
         self._name.text = ("handle" if apart else "proxy") + (
@@ -106,14 +106,14 @@ class Proxy(Part):
         self.gizmo.visible = by_hand
         self._name.visible = self._show_labels and by_hand
         goal = handle if target is None else target
-        self._ball.visible = apart and not withdrawn
+        self._ball.visible = apart and not suppressed
         self._ball_name.visible = self._ball.visible and self._show_labels
         if apart:
             self._ball.position = to_view(goal.translation)
             self._ball_name.position = to_view(goal.translation)
-        pulled = goal.translation - p_tip
-        taut = self._show_tether and not withdrawn and bool(np.linalg.norm(pulled) > TAUT)
+        offset = goal.translation - p_tip
+        taut = self._show_tether and not suppressed and bool(np.linalg.norm(offset) > MIN_TETHER)
         if taut:
             self._tether.position = to_view(p_tip)
-            self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], pulled]]))
+            self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], offset]]))
         self._tether.visible = taut

@@ -13,7 +13,7 @@ from app.control.watch import Crossing
 from app.settings import Options
 from app.view import palette
 from app.view.depth import Whereabouts
-from app.view.fixture import LEANING
+from app.view.fixture import MIN_PUSH
 
 _HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
 _NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
@@ -67,14 +67,14 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
         rows.append(_row("waiting for the first tick", ""))
     else:
         rows += [
-            *_sides(extras),
+            *_distance_rows(extras),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
             _force_row(float(np.linalg.norm(step.force))),
             _section("Fixture"),
             _row("rule", options.rule),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
-            _row(_reached(extras), f"{extras.in_sphere:,}", " "),
+            _row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
             _row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
             _row("QP", palette.SOLVER_HELP[step.solver]),
@@ -117,7 +117,7 @@ def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: boo
     if where is None:
         return _line(text, color)
     if where.crossing is not None:
-        return _line(text, palette.css(palette.ALARM), _latch(where, where.crossing))
+        return _line(text, palette.css(palette.ALARM), _crossing_text(where, where.crossing))
     if where.shaft_crosses:
         return _line(text, color, remark="The shaft is in the mesh: only the tip is guarded.")
     return _line(text, color)
@@ -146,7 +146,7 @@ def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
     )
 
 
-def _latch(where: Whereabouts, crossing: Crossing) -> str:
+def _crossing_text(where: Whereabouts, crossing: Crossing) -> str:
     """What happened, where the tool is now, and what to do."""
     what = "Crossed" if crossing.centre else "Touched by the tip’s ball"
     if where.inside:
@@ -163,12 +163,12 @@ def _latch(where: Whereabouts, crossing: Crossing) -> str:
     )
 
 
-def _reached(extras: Extras) -> str:
+def _reach_name(extras: Extras) -> str:
     ball = extras.where is not None and extras.where.tip_radius > 0.0
     return "triangles in ball’s reach" if ball else "triangles in sphere"
 
 
-def _sides(extras: Extras) -> list[str]:
+def _distance_rows(extras: Extras) -> list[str]:
     """Distance, depth and crossings, whatever the rule."""
     where = extras.where
     if where is None:
@@ -269,8 +269,8 @@ def _state(
         return "No fixture (rule off): nothing stops the tool.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
-    if len(step.planes) and bool((step.multipliers > LEANING).any()):
-        n = int((step.multipliers > LEANING).sum())
+    if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
+        n = int((step.multipliers > MIN_PUSH).sum())
         force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
         return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}): {force}.", busy
     if step.status == vf.Status.SHORTENED:

@@ -17,11 +17,11 @@ from app.scene.scene import Progress
 from app.scene.worker import Stop
 from app.view import camera
 from app.view.context import PageContext
-from app.view.screen import Screen
+from app.view.source import Source
 from app.view.units import VIEW_SCALE
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1": 1.0, "2": 2.0, "8": 8.0}
-REPLAYED = 1_000_000  # versions of replayed scenes begin here; a session never gets that far
+FIRST_VERSION = 1_000_000  # versions of replayed scenes begin here; a session never gets that far
 ORDER = -1.5  # in the panel: between the banner and the help
 BACK = "Back to the session"
 SUSPENDED = f"a replay is shown, and the session waits: press “{BACK}” first"
@@ -84,9 +84,9 @@ class Replaying:
 
         @back.on_click
         async def _back(_event: viser.GuiEvent[Any]) -> None:
-            context.hand.submit(self.leave)
+            context.client_input.submit(self.leave)
 
-        context.escape.offer(self.leave)
+        context.escape.add_fallback(self.leave)
 
     def show(self, name: str, recording: Recording, progress: Progress, stop: Stop) -> None:
         """Put a recording on the screen, in the place of the session or of another one.
@@ -101,16 +101,16 @@ class Replaying:
         """
         if not len(recording.rows):
             raise Refused("the recording holds no tick")
-        if self._context.fixture.withdrawn:
+        if self._context.fixture.suppressed:
             raise Refused("leave “Freeze and explore” first (tab Inspector)")
         self._opened += 1
-        version = REPLAYED + 1000 * self._opened
+        version = FIRST_VERSION + 1000 * self._opened
         built = build_scenes(recording, version, self._session.scene, progress, stop)
-        replay = Replay(name, Player(recording, built), self._context.screen)
+        replay = Replay(name, Player(recording, built), self._context.source)
         replay.now()  # whatever is wrong shows here, not in the picture
         if self.replay is None:
             self._session.suspend(SUSPENDED, stop)
-            self._context.hand.let_go()
+            self._context.client_input.release()
             self._views = {
                 client_id: camera.View(
                     np.array(client.camera.position) / VIEW_SCALE,
@@ -119,22 +119,22 @@ class Replaying:
                 for client_id, client in self._context.server.get_clients().items()
             }
         self.replay = replay
-        self._context.screen.instead = replay.now
+        self._context.source.override = replay.now
 
     def leave(self) -> bool:
         """Back to the session, if a replay is shown; says whether it was."""
         if self.replay is None:
             return False
-        shown = self._context.screen.shown.scene
+        shown = self._context.source.shown.scene
         self.replay = None
-        self._context.screen.instead = None
+        self._context.source.override = None
         self._returning = shown.version != self._session.scene.version
         self._session.go_on()
         return True
 
     def frame(self) -> None:
         """From the view thread, once what is on the screen is drawn."""
-        if self._returning and self._context.screen.live:
+        if self._returning and self._context.source.live:
             self._returning = False
             for client_id, client in self._context.server.get_clients().items():
                 if client_id in self._views:
@@ -165,9 +165,9 @@ class Replaying:
 class Replay:
     """A recording on the screen."""
 
-    def __init__(self, name: str, player: Player, screen: Screen) -> None:
+    def __init__(self, name: str, player: Player, source: Source) -> None:
         rows = player.recording.rows
-        self._name, self._player, self._screen = name, player, screen
+        self._name, self._player, self._source = name, player, source
         self._lock = threading.Lock()  # of the player
         self._times = (rows["tick"] - rows["tick"][0]) * player.recording.dt
         self.transport = Transport(self._times)
@@ -196,7 +196,7 @@ class Replay:
         with self._lock:
             row = self.transport.row()
             moment = self._player.moment(row)
-        self._screen.caption = (
+        self._source.caption = (
             f"Replay: tick {moment.telemetry.tick:,}, {self._times[row]:.2f} of "
             f"{self.length:.2f} s. The session waits."
         )

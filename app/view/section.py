@@ -61,8 +61,8 @@ class Section(Part):
         self._anatomy = anatomy
         self._worker: Worker[Cut, Remainder] = Worker("section", make)
         self._client_id: int | None = None  # whose eye it is; None: there is no section
-        self._asked: Cut | None = None
-        self._when = 0.0  # monotonic time of the last question [s]
+        self._requested: Cut | None = None
+        self._requested_at = 0.0  # monotonic time of the last question [s]
         self._drawn: Remainder | None = None
 
     @property
@@ -84,7 +84,7 @@ class Section(Part):
         """Keep the cut at the tip, (3,) [m], facing the eye."""
         client = None if self._client_id is None else clients.get(self._client_id)
         if client is None:
-            self._client_id = self._asked = None
+            self._client_id = self._requested = None
             if self._drawn is not None:
                 self._drawn = None
                 self._anatomy.cut(None)
@@ -92,16 +92,16 @@ class Section(Part):
         now = time.monotonic()
         away = client.camera.position - to_view(p_tip)
         length = float(np.linalg.norm(away))
-        if now > self._when + PERIOD and length > 0.0:
+        if now > self._requested_at + PERIOD and length > 0.0:
             cut = Cut(scene, np.array(p_tip), away / length)
-            if not cut.near(self._asked):
-                self._when, self._asked = now, cut
-                self._worker.ask(cut)
-        part = self._worker.newest()
-        if part is None or self._asked is None or part is self._drawn:
+            if not cut.near(self._requested):
+                self._requested_at, self._requested = now, cut
+                self._worker.request(cut)
+        part = self._worker.latest()
+        if part is None or self._requested is None or part is self._drawn:
             return
         # An answer from before the section was last switched off is an older one's.
-        if part.cut.scene is scene and part.cut.near(self._asked):
+        if part.cut.scene is scene and part.cut.near(self._requested):
             self._drawn = part
             self._anatomy.cut((part.vertices, part.faces))
 

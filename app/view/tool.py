@@ -14,10 +14,10 @@ from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
 FORCE_LENGTH = 0.005  # arrow length for each newton [m]: 3 N stay below the scale bar
-LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
+MIN_FORCE = 0.02  # a weaker force is not drawn [N]
 # The force mostly points along the instrument. At the tip the arrow would be inside it, so it is
 # drawn beside it, across the direction of the page's first view [m].
-ASIDE = 0.0065
+ARROW_OFFSET = 0.0065
 
 
 class Tool(Part):
@@ -64,11 +64,11 @@ class Tool(Part):
             self._ball.position = to_view(p_tip)
             self._ball.scale = float(to_view(tip_radius))
         strength = float(np.linalg.norm(force))
-        drawn = self._show_force and strength > LEAST_FORCE
+        drawn = self._show_force and strength > MIN_FORCE
         if drawn:
             arrow = FORCE_LENGTH * force
             side = np.cross(force, DIRECTION)
-            foot = p_tip - ASIDE * side / max(float(np.linalg.norm(side)), 1e-9)
+            foot = p_tip - ARROW_OFFSET * side / max(float(np.linalg.norm(side)), 1e-9)
             self._arrow.points = to_buffer(np.array([[[0.0, 0.0, 0.0], arrow]]))
             self._arrow.position = to_view(foot)
             self._label.position = to_view(foot + arrow)

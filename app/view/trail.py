@@ -12,9 +12,9 @@ from app.view.units import to_buffer
 FloatArray = NDArray[np.float64]
 
 LENGTH = 600  # pieces kept; the oldest go first
-SPACING = 2e-4  # a tip that moved by less leaves no mark [m]
-JUMP = 1e-2  # a tip that moved by more between two looks was put there: no line [m]
-DEEP = 2e-3  # depth of the darkest colour [m]: the skull's thickness
+MIN_STEP = 2e-4  # a tip that moved by less leaves no mark [m]
+MAX_STEP = 1e-2  # a tip that moved by more between two looks was put there: no line [m]
+MAX_DEPTH = 2e-3  # depth of the darkest colour [m]: the skull's thickness
 
 # From the surface down, dark enough to be told from bone and from each other by lightness alone.
 _OUTSIDE = palette.SKY
@@ -23,7 +23,7 @@ _RAMP = np.array([palette.YELLOW, palette.ORANGE, palette.VERMILION, (90, 20, 0)
 
 def colors(distances: FloatArray) -> NDArray[np.uint8]:
     """Colours (n, 3) of signed distances (n,) [m] from the surface, negative inside."""
-    place = np.clip(-distances / DEEP, 0.0, 1.0) * (len(_RAMP) - 1)
+    place = np.clip(-distances / MAX_DEPTH, 0.0, 1.0) * (len(_RAMP) - 1)
     low = np.minimum(place.astype(int), len(_RAMP) - 2)
     mixed = _RAMP[low] + (place - low)[:, None] * (_RAMP[low + 1] - _RAMP[low])
     mixed[distances >= 0.0] = _OUTSIDE
@@ -39,7 +39,7 @@ def legend() -> str:
         f"<span style='width:12px;height:9px;background:{palette.css(_OUTSIDE)}'></span>outside"
         "<span style='margin-left:8px'>0</span>"
         f"<span style='flex:1;height:9px;background:linear-gradient(90deg,{stops})'></span>"
-        f"{DEEP * 1e3:g} mm deep</div>"
+        f"{MAX_DEPTH * 1e3:g} mm deep</div>"
         "<div style='margin:0 .75em .4em;font-size:11px;line-height:1.3;color:var(--vf-faint)'>"
         "The bone hides what is inside it: View › Layers › See-through.</div>"
     )
@@ -61,10 +61,10 @@ class Path:
             self._last = (p_tip, distance)
             return False
         moved = float(np.linalg.norm(p_tip - last[0]))
-        if moved < SPACING:
+        if moved < MIN_STEP:
             return False
         self._last = (p_tip, distance)
-        if moved > JUMP:
+        if moved > MAX_STEP:
             return False
         if self.count == LENGTH:
             self.segments[:-1] = self.segments[1:]
@@ -80,7 +80,7 @@ class Path:
         self.count = 0
         self._last = None
 
-    def lift(self) -> None:
+    def break_line(self) -> None:
         """The next point begins a new line."""
         self._last = None
 

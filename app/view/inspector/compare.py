@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 SAMPLES = 2000  # points of the surface
 PATHS = 96  # straight ways out of x
-NEAREST = 1500  # triangles that a way is tested against at most
+MAX_TRIANGLES = 1500  # triangles that a way is tested against at most
 BLOCK = 64  # planes judged at a time
 
 
@@ -101,7 +101,7 @@ class Comparison:
         near = near[np.argsort(away)[: np.count_nonzero(away <= reach)]]
         corners = surface.vertices[surface.faces[near]] - x
         on_surface = sample(corners, reach, SAMPLES, rng)
-        free = reachable(corners[:NEAREST], radius, PATHS, rng)
+        free = reachable(corners[:MAX_TRIANGLES], radius, PATHS, rng)
         inside = surface.inside(x)
         found = []
         for rule in vf.RULES:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 import vf
 from app.view import palette
+from app.view.inspector.descriptions import states
 from app.view.inspector.inspection import Inspection, Subject
 from app.view.inspector.region import Region
-from app.view.inspector.words import states
 from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 

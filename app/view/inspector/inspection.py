@@ -16,8 +16,8 @@ from app.view.inspector.region import Region, allowed_region
 
 FloatArray = NDArray[np.float64]
 
-MOST = 2000  # triangles examined: the nearest ones
-SLOW = 0.5  # shortest time between two comparisons [s]
+MAX_TRIANGLES = 2000  # triangles examined: the nearest ones
+COMPARISON_PERIOD = 0.5  # shortest time between two comparisons [s]
 
 
 @dataclass(frozen=True)
@@ -73,14 +73,14 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Question:
+class Request:
     """A subject, and what is wanted of it."""
 
     subject: Subject
     region: bool
     comparison: bool
 
-    def same(self, other: Question | None) -> bool:
+    def same(self, other: Request | None) -> bool:
         """Whether another one has the same answer."""
         return (
             other is not None
@@ -113,13 +113,13 @@ class Inspection:
     forecasts: Forecasts | None
     settled: bool = True
 
-    def leaning(self, triangle: int) -> tuple[float, float]:
+    def push(self, triangle: int) -> tuple[float, float]:
         """How far the planes under a triangle pushed the tip back [m], and their share of all."""
         total = float(self.multipliers.sum())
         mine = float(self.multipliers[self.planes.triangles == triangle].sum())
         return mine, mine / total if total > 0.0 else 0.0
 
-    def foremost(self) -> int:
+    def main_triangle(self) -> int:
         """The triangle whose plane pushes most; the nearest one if none does; −1 without any."""
         pushes = np.where(self.planes.triangles >= 0, self.multipliers, 0.0)
         if pushes.max(initial=0.0) > 0.0:
@@ -132,13 +132,13 @@ class Inspector:
 
     def __init__(self) -> None:
         self._comparison: tuple[Scene, Comparison] | None = None
-        self._compared = 0.0  # when [s]
+        self._compared_at = 0.0  # when [s]
         self._last: Inspection | None = None
-        self._question: Question | None = None
+        self._request: Request | None = None
 
-    def answer(self, question: Question) -> Inspection:
+    def inspect(self, request: Request) -> Inspection:
         """Examine the subject."""
-        subject, last = question.subject, self._last
+        subject, last = request.subject, self._last
         options = subject.options
         same = last is not None and subject.same_place(last.subject)
         if last is not None and same:
@@ -150,7 +150,7 @@ class Inspector:
                 subject.radius,
                 options.standoff,
                 options.tip_radius,
-                MOST,
+                MAX_TRIANGLES,
             )
         if subject.step is not None:
             planes, multipliers = subject.step.planes, subject.step.multipliers
@@ -158,20 +158,20 @@ class Inspector:
             planes = _planes(subject, explanation)
             multipliers = np.zeros(len(planes))
         region = None
-        if question.region:
+        if request.region:
             if last is not None and same and _equal(last.planes, planes):
                 region = last.region
             region = region or allowed_region(planes, subject.x)
         forecasts, settled = None, True
-        if question.comparison:
+        if request.comparison:
             alike = last is not None and last.subject.same_setting(subject)
             forecasts = last.forecasts if last is not None and alike else None
-            due = time.monotonic() > self._compared + SLOW
-            settled = last is not None and last.settled and question.same(self._question)
+            due = time.monotonic() > self._compared_at + COMPARISON_PERIOD
+            settled = last is not None and last.settled and request.same(self._request)
             if forecasts is None or (due and not settled):
                 forecasts, settled = self._compare(subject), True
-                self._compared = time.monotonic()
-        self._question = question
+                self._compared_at = time.monotonic()
+        self._request = request
         self._last = Inspection(
             subject, explanation, planes, multipliers, region, forecasts, settled
         )

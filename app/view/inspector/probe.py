@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 GIZMO_SIZE = 60.0  # length of its arrows [px]: smaller than the proxy's
 BALL = 0.05  # radius of its dot, of the sphere's
 # Where the cases are shown: this far from the anatomy, which is then behind the camera [m].
-ASIDE = 0.6
+CASE_OFFSET = 0.6
 
 
 class Probe:
@@ -106,7 +106,7 @@ class Probe:
         )
 
 
-def beside(scene: Scene) -> tuple[FloatArray, FloatArray]:
+def case_pose(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Where cases stand in a scene: rotation (3, 3) and origin (3,).
 
     The shared edge (y) points away from the anatomy, so whoever looks along it has that behind.
@@ -114,7 +114,7 @@ def beside(scene: Scene) -> tuple[FloatArray, FloatArray]:
     toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
     up = np.array([0.0, 0.0, 1.0])
     R = np.column_stack([np.cross(toward, up), toward, up])
-    return R, scene.T_base_start.translation + ASIDE * toward
+    return R, scene.T_base_start.translation + CASE_OFFSET * toward
 
 
 def case_view(R: FloatArray, origin: FloatArray) -> View:

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 FACETS = 400  # of the polyhedron that stands for the ball
 # A region that holds no ball of this share of the sphere's radius is not drawn.
-THINNEST = 1e-4
+MIN_RADIUS = 1e-4
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def allowed_region(planes: vf.Planes, x: FloatArray) -> Region:
         b_ub=-half_spaces[:, 3],
         bounds=[(None, None)] * 3 + [(0.0, None)],
     )
-    if found.status != 0 or found.x[3] < THINNEST:
+    if found.status != 0 or found.x[3] < MIN_RADIUS:
         return EMPTY
     try:
         corners = HalfspaceIntersection(half_spaces, found.x[:3]).intersections

@@ -22,7 +22,7 @@ from app.recording.rerun import run_headless
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, help, keys, palette, signals, trail, who
+from app.view import Page, camera, client_names, help, keys, palette, signals, trail
 from app.view.depth import signed_distance
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
@@ -45,7 +45,7 @@ def test_nudges_go_where_the_viewer_sees_them_go() -> None:
         ([0.0, -1.0, 0.7], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
         ([1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
     ):
-        axes = keys.seen_from(looking(eye, [0.0, 0.0, 0.0]))
+        axes = keys.viewer_axes(looking(eye, [0.0, 0.0, 0.0]))
         np.testing.assert_allclose(axes, np.column_stack([right, away, [0, 0, 1]]), atol=1e-12)
 
 
@@ -53,7 +53,7 @@ def test_nudges_stay_orthonormal_however_the_camera_is_held() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
         q = rng.normal(size=4)
-        axes = keys.seen_from(q / np.linalg.norm(q))
+        axes = keys.viewer_axes(q / np.linalg.norm(q))
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
         assert np.linalg.det(axes) == pytest.approx(1.0)
         assert (axes[:, 2] == [0.0, 0.0, 1.0]).all()
@@ -68,13 +68,13 @@ def text(html: str) -> str:
 
 
 def test_clients_are_told_who_has_the_proxy() -> None:
-    assert who.line(0, 0, 1) == ""
-    assert "You are ■ client 3, one of 2" in text(who.line(2, None, 2))
-    assert "You (■ client 1) have the proxy" in text(who.line(0, 0, 2))
-    other = who.line(0, 4, 3)
+    assert client_names.line(0, 0, 1) == ""
+    assert "You are ■ client 3, one of 2" in text(client_names.line(2, None, 2))
+    assert "You (■ client 1) have the proxy" in text(client_names.line(0, 0, 2))
+    other = client_names.line(0, 4, 3)
     assert "Another client is dragging: ■ client 5 has the proxy" in text(other)
-    assert palette.css(who.color(4)) in other
-    assert len({who.color(i) for i in range(6)}) == 6
+    assert palette.css(client_names.color(4)) in other
+    assert len({client_names.color(i) for i in range(6)}) == 6
 
 
 def test_signed_distance_is_negative_inside_only() -> None:
@@ -141,7 +141,7 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     options = Options(mesh="sphere", robot="point")
     sphere = scene.build(options, 1, warm=False)
     context: Any = MagicMock()
-    context.screen.live = True
+    context.source.live = True
     tab = signals.Signals(context)
     tab.set_scene(sphere)
     tab._on.value = False
@@ -162,7 +162,7 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     asyncio.run(switched(None))
     frame(telemetry[-1])  # of a paused loop: no new tick
     assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with what was before"
-    context.screen.live = False  # a replay begins
+    context.source.live = False  # a replay begins
     frame(telemetry[0])
     assert len(tab._history.shown()[0]) == 1
 
@@ -205,18 +205,18 @@ def test_the_trail_is_bounded_skips_jumps_and_keeps_the_newest() -> None:
     np.testing.assert_allclose(path.segments[1:, 0], path.segments[:-1, 1])
     last = path.segments[-1, 1].copy()
     ahead = np.array([1.0, 0.0, 0.0])
-    assert not path.add(last + 0.1 * trail.SPACING * ahead, 0.0), "hardly moved"
-    assert not path.add(last + 2.0 * trail.JUMP * ahead, 0.0), "was put there"
-    assert path.add(last + (2.0 * trail.JUMP + 1e-3) * ahead, 0.0)
+    assert not path.add(last + 0.1 * trail.MIN_STEP * ahead, 0.0), "hardly moved"
+    assert not path.add(last + 2.0 * trail.MAX_STEP * ahead, 0.0), "was put there"
+    assert path.add(last + (2.0 * trail.MAX_STEP + 1e-3) * ahead, 0.0)
     assert np.linalg.norm(np.diff(path.segments[-1], axis=0)) == pytest.approx(1e-3)
-    path.lift()
+    path.break_line()
     assert not path.add(last, 0.0)
     path.clear()
     assert path.count == 0
 
 
 def test_the_trail_gets_darker_with_depth_and_is_told_from_the_outside() -> None:
-    depths = np.linspace(0.0, 2.0 * trail.DEEP, 9)
+    depths = np.linspace(0.0, 2.0 * trail.MAX_DEPTH, 9)
     shades = trail.colors(-depths[1:]).astype(float)
     lightness = shades @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness[:4]) < -10.0).all()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.view import palette
-from app.view.fixture import LEANING
+from app.view.fixture import MIN_PUSH
 from app.view.inspector.compare import Forecasts
 from app.view.inspector.inspection import Inspection, Subject
 from vf import Cover, Edge, Feature, Rule, TriangleReport, Verdict
@@ -161,9 +161,9 @@ def nearest(inspection: Inspection, chosen: int) -> str:
     lines = []
     for report in explanation[first : first + NEAREST]:
         state = palette.TRIANGLE_STATES[state_of(report)]
-        push, _ = inspection.leaning(report.triangle)
+        push, _ = inspection.push(report.triangle)
         mark = "background:var(--vf-plate);font-weight:600" if report.triangle == chosen else ""
-        pushes = " ◀" if push > LEANING else ""
+        pushes = " ◀" if push > MIN_PUSH else ""
         lines.append(
             f"<tr style='{mark}'><td style='padding:0 4px 0 0'>"
             f"<span style='color:{palette.css(state.color)}'>■</span> "
@@ -178,7 +178,7 @@ def nearest(inspection: Inspection, chosen: int) -> str:
             f"{explanation.total:,} triangles are examined and drawn.</div>"
         )
     wall = float(inspection.multipliers[inspection.planes.rules == Rule.CORRIDOR].sum())
-    if wall > LEANING:
+    if wall > MIN_PUSH:
         note += f"<div>The corridor’s wall pushes the tool back by {wall * 1e3:.3f} mm.</div>"
     table = "<table style='width:100%;border-collapse:collapse;font-size:11.5px'>"
     return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
@@ -280,8 +280,8 @@ def _plane(inspection: Inspection, report: TriangleReport) -> str:
     slack = float(planes.slack(subject.x)[k])
     text = f"Plane (rule {subject.rule}): n = ({normal}), {slack * 1e3:.3f} mm from here."
     if subject.step is not None:
-        push, share = inspection.leaning(under)
-        if push > LEANING:
+        push, share = inspection.push(under)
+        if push > MIN_PUSH:
             most = " It blocks the way." if push == inspection.multipliers.max() else ""
             strong = f"The QP leans on it: pushed back by {push * 1e3:.3f} mm, {share:.0%}.{most}"
             text += f"<br><b>{strong}</b>"
