@@ -1,4 +1,4 @@
-"""The clients' cameras: moved to what is to be seen, after the tool, and told near from far."""
+"""The clients' cameras: named views, following the tool, clipping planes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from app.view.source import Source
 
 
 class Cameras(Part):
-    """Moves cameras, each client's for itself.
+    """Moves each client's camera.
 
     Attributes:
-        following: whose cameras follow the tool.
+        following: the cameras that follow the tool.
     """
 
     def __init__(self, server: viser.ViserServer, source: Source, notify: Notify) -> None:
@@ -26,7 +26,7 @@ class Cameras(Part):
         self._composed = False
 
     def set_scene(self, scene: Scene) -> None:
-        """Look at another scene."""
+        """Move all cameras to the first view of a scene."""
         view = camera.site_view(scene, scene.T_base_start.translation)
         camera.set_initial_camera(self._server, view)
         if self._composed:
@@ -36,13 +36,13 @@ class Cameras(Part):
         self._composed = True
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Go along with the tool, and keep near and far apart."""
+        """Follow the tool, and update the clipping planes."""
         self.following.update(clients, np.array(shown.tip.translation))
         for client in clients.values():
             camera.update_clipping(client)
 
     def look(self, client: viser.ClientHandle, name: str) -> None:
-        """Move a client's camera to a view by its name; "Follow" also goes along, or stops that."""
+        """Move a client's camera to a named view; "Follow" also starts or stops following."""
         shown = self._source.shown
         step = shown.telemetry.step
         followed = client.client_id in self.following.clients

@@ -1,4 +1,4 @@
-"""Part of the page: the planned path, the walls of the corridor along it, and its width."""
+"""Folder "Corridor": the planned path, the walls along it, and their distance."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from app.view.fields import NumberField, show
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
-HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
-BEYOND = 3e-3  # of the drawn walls before and after the path [m]
+HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself is unbounded
+BEYOND = 3e-3  # length of the drawn walls beyond the path's ends [m]
 
 
 class CorridorControl(Part):
-    """Switch and width of the corridor; there is nothing to switch where no path is planned."""
+    """Switch and width of the corridor; hidden in scenes without a planned path."""
 
     def __init__(self, context: PageContext) -> None:
         self._session, self._input, self._notify = (
@@ -34,7 +34,7 @@ class CorridorControl(Part):
         self._api = context.server.scene
         self._drawn: tuple[int, float | None] | None = None
         self._name = context.labels.add("/corridor/name", "planned cut", anchor="top-left")
-        self._end = 0  # of the path that the label is at
+        self._end = 0  # end of the path with the label
         kind = number("corridor")
         low, high = kind.low * kind.shown, kind.high * kind.shown
         with context.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
@@ -97,12 +97,12 @@ class CorridorControl(Part):
             self._notify(client, f"{error}")
 
     def _take(self, width: float) -> None:
-        """A width [mm]; without a corridor it is for later."""
+        """Set the width [mm], if the corridor is on."""
         if self._session.options.corridor is not None:
             self._session.set(corridor=width * 1e-3)
 
     def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
-        """The label, at the end of the path that is farther from the tip and its labels."""
+        """Place the label at the end of the path farther from the tip and its labels."""
         path = scene.planned_path
         self._name.visible = path is not None
         if path is not None:
@@ -129,9 +129,6 @@ class CorridorControl(Part):
 
 
 def far_end(ends: NDArray[np.float64], p_tip: NDArray[np.float64], last: int) -> int:
-    """Which of two ends (2, 3) is farther from the tip (3,): 0 or 1.
-
-    The other than `last` only where it is farther by a fifth: a label is not to go to and fro.
-    """
+    """Index of the end (2, 3) farther from the tip (3,): another than `last` if farther by 20 %."""
     first, second = np.linalg.norm(ends - p_tip, axis=1)
     return int(second > 1.2 * first) if last == 0 else int(first <= 1.2 * second)

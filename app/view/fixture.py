@@ -1,4 +1,4 @@
-"""Layer: the motion sphere, the planes that guard the tool, and the triangles they came from."""
+"""Layer: the motion sphere, the planes of a tick, and the triangles that gave them."""
 
 from __future__ import annotations
 
@@ -19,24 +19,23 @@ from app.view.units import to_buffer, to_view, turn_z_to
 FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
-MAX_PLANES = 128  # planes drawn at most; rule "all" can make a thousand
+MAX_PLANES = 128  # drawn; rule "all" can make a thousand
 MAX_DISCS = (
     12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
 )
-# Opacities of the discs, and those for when what is under them is inspected.
+# Opacity of the discs, and while the inspector draws below them.
 IDLE_OPACITY = (0.3, 0.1)
 ACTIVE_OPACITY = (0.65, 0.3)
-BLOCKING_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of its disc
-MIN_PUSH = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
+BLOCKING_LENGTH = 0.5  # of the arrow of the plane that pushes most, in radii of its disc
+MIN_PUSH = 1e-7  # a plane is active if it pushed the tip back by more in this tick [m]
 
 
 class FixtureDrawing(Part):
-    """Planes are drawn as their discs inside the motion sphere, coloured by the rule.
+    """Draws planes as their discs inside the motion sphere, coloured by rule.
 
-    The more a plane pushes the tool back, the fuller its colour; the one that pushes most has a
-    thick ring. All planes are instances of four small meshes. Their number never changes (a plane
-    that is not there has scale 0): the browser builds a batch anew when its length or opacities
-    change.
+    The saturation of an active plane shows its share of the push; the plane that pushes most has a
+    thick ring. All planes are instances of four batches of constant length, as the browser rebuilds
+    a batch whose length or opacity changes; an unused instance has scale 0.
     """
 
     def __init__(self, api: viser.SceneApi, labels: Labels, root: str = "/fixture") -> None:
@@ -47,7 +46,7 @@ class FixtureDrawing(Part):
             color=palette.SPHERE,
             subdivisions=10,
             opacity=0.2,
-            # Translucent meshes write depth: the near half would hide the discs inside.
+            # Translucent meshes write depth, so the near half would hide the discs.
             side="back",
             cast_shadow=False,
             receive_shadow=False,
@@ -58,7 +57,7 @@ class FixtureDrawing(Part):
         self._active_discs = _batch(api, f"{root}/discs_leaning", disc, opacity=ACTIVE_OPACITY[0])
         self._rims = _batch(api, f"{root}/rims", rim)
         self._normals = _batch(api, f"{root}/normals", _arrow())
-        # Of the plane that pushes most: a thick ring, a large arrow, a word.
+        # Of the plane that pushes most: a thick ring, a large arrow, a label.
         self._blocking = [
             api.add_mesh_simple(
                 f"{root}/blocking_{name}",
@@ -88,7 +87,7 @@ class FixtureDrawing(Part):
             )
             for rule, look in palette.LOOKS.items()
         }
-        # Light and shade fall on the triangles; their edges have the legend's colours as they are.
+        # The triangles are shaded; their unshaded edges have the legend's colours.
         self._edges = api.add_line_segments(
             f"{root}/edges",
             points=np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.float32),
@@ -102,9 +101,9 @@ class FixtureDrawing(Part):
         self.show_normals = True
         self.show_triangles = True
         self.suppressed = False
-        """Somebody else is on the stage: draw nothing."""
+        """Draw nothing: the inspector's probe is shown instead."""
         self.inspected = False
-        """Somebody else draws the triangles, with more to say about them: let them be seen."""
+        """The inspector draws the triangles: draw none, and paler discs."""
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         """Draw the tick's planes."""
@@ -112,7 +111,7 @@ class FixtureDrawing(Part):
             self.update(shown.telemetry.step, shown.scene.surface)
 
     def update(self, step: vf.Step, surface: vf.Surface) -> None:
-        """Draw what one tick was constrained by."""
+        """Draw the planes of one step."""
         p_tip = np.asarray(step.tip.translation)
         self.draw(p_tip, step.radius, step.planes, step.multipliers, surface)
 
@@ -124,7 +123,7 @@ class FixtureDrawing(Part):
         multipliers: FloatArray,
         surface: vf.Surface,
     ) -> None:
-        """Draw planes around p_tip (3,); each pushed back by its multiplier (m,) [m]."""
+        """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m]."""
         self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
             self._sphere.position = to_view(p_tip)
@@ -134,7 +133,7 @@ class FixtureDrawing(Part):
         self._draw_triangles(radius, planes, surface, chosen)
 
     def hide(self) -> None:
-        """Take everything away until the next `draw`."""
+        """Hide everything until the next `draw`."""
         nodes = (
             self._edges,
             self._sphere,
@@ -179,7 +178,7 @@ class FixtureDrawing(Part):
         rank = np.argsort(np.argsort(np.abs(planes.slack(p_tip)[chosen]), kind="stable"))
         near = (rank < MAX_DISCS) | active
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
-        # At the centre of its disc, where the tool is, an arrow would be hidden by the tool.
+        # Off the centre of the disc, where the tool would hide the arrow.
         feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
         if strongest > MIN_PUSH:
@@ -201,7 +200,7 @@ class FixtureDrawing(Part):
             batch.batched_colors = colors
         if blocks:
             most = int(pushes.argmax())
-            # A hair above the plane's own rim; the arrow clear of the tool, beside the normal.
+            # Slightly above the plane's own rim; the arrow clear of the tool.
             ring = centres[most] + 0.015 * radius * normals[most]
             foot = ring + 0.8 * radii[most] * _towards_viewer(normals[most][None])[0]
             for node, place in zip(self._blocking, (ring, foot), strict=True):
@@ -216,7 +215,7 @@ class FixtureDrawing(Part):
     ) -> None:
         chosen = chosen[planes.triangles[chosen] >= 0]
         shown = self.show_triangles and not (self.suppressed or self.inspected)
-        lift = 0.01 * radius  # towards the tool, clear of the mesh's own triangles [m]
+        lift = 0.01 * radius  # along the normals, clear of the mesh's own triangles [m]
         for rule, node in self._triangles.items():
             mine = chosen[planes.rules[chosen] == rule]
             visible = shown and len(mine) > 0
@@ -231,7 +230,7 @@ class FixtureDrawing(Part):
             corners = surface.vertices[surface.faces[planes.triangles[chosen]]]  # (k, 3, 3)
             corners = corners + 1.5 * lift * planes.normals[chosen][:, None, :]
             ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-            unused = np.tile(ends[-1:, :1], (3 * MAX_PLANES - len(ends), 2, 1))  # without length
+            unused = np.tile(ends[-1:, :1], (3 * MAX_PLANES - len(ends), 2, 1))  # of zero length
             self._edges.points = to_buffer(np.concatenate([ends, unused]))
             looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
             colors = np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.uint8)
@@ -240,7 +239,7 @@ class FixtureDrawing(Part):
 
 
 def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArray[np.intp]:
-    """Which planes to draw: those that cut the sphere, the nearest ones if there are too many."""
+    """Indices of the planes to draw: the nearest `MAX_PLANES` that cut the sphere."""
     slack = planes.slack(p_tip)
     order = np.argsort(np.abs(slack), kind="stable")
     return np.sort(order[np.abs(slack[order]) < radius][:MAX_PLANES])
@@ -249,21 +248,21 @@ def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArra
 def discs(
     normals: FloatArray, offsets: FloatArray, centre: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Where planes n·y = o (m of them) cut a ball: disc centres (m, 3) and radii (m,) [m]."""
+    """Discs of planes n·y = o (m of them) in a ball: centres (m, 3) and radii (m,) [m]."""
     height = offsets - normals @ centre
     centres = centre + height[:, None] * normals
     return centres, np.sqrt(np.maximum(radius**2 - height**2, 0.0))
 
 
 def _towards_viewer(normals: FloatArray) -> FloatArray:
-    """Unit vectors (m, 3) along the planes, towards the side the page looks from at first."""
+    """Unit vectors (m, 3) in the planes, towards the camera of the first view."""
     along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
     length = np.linalg.norm(along, axis=1, keepdims=True)
     return np.asarray(along / np.maximum(length, 1e-6))
 
 
 def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:
-    """Rows filled up with zeros to `MAX_PLANES` of them."""
+    """Rows padded with zeros to `MAX_PLANES`."""
     out = np.zeros((MAX_PLANES, *rows.shape[1:]), dtype=np.float32)
     out[: len(rows)] = rows
     return out
@@ -302,7 +301,7 @@ def _disc(segments: int = 40) -> Triangles:
 
 
 def _rim(segments: int = 40, inner: float = 0.975) -> Triangles:
-    """The rim of the unit disc."""
+    """The rim of the unit disc, from the radius `inner` outwards."""
     vertices = np.vstack([_circle(segments), inner * _circle(segments)])
     k = np.arange(segments)
     following = (k + 1) % segments

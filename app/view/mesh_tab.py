@@ -1,4 +1,4 @@
-"""A tab about the mesh: bring one's own, see what is wrong with it and where, have it mended."""
+"""Tab "Mesh": upload a mesh, examine it, show its defects, repair or flip it."""
 
 from __future__ import annotations
 
@@ -34,11 +34,10 @@ NONE = "–"
 
 
 class MeshTab(Part):
-    """Upload, health report with its problems drawn on the mesh, repair and flip.
+    """Upload, health report with the defects drawn on the mesh, repair and flip.
 
-    Everything slow runs in a thread of its own; the old mesh stays until the new one is ready, and
-    for good if that fails. What brings another mesh is the session's work; examining is not, and
-    does not keep anybody from changing the mesh meanwhile.
+    Whatever is slow runs on a thread of its own; the old mesh stays if it fails. Changing the mesh
+    is the session's work, one at a time; examining is not, so the mesh can be changed meanwhile.
     """
 
     def __init__(self, context: PageContext) -> None:
@@ -47,8 +46,8 @@ class MeshTab(Part):
         self._escape = context.escape
         self._drawing = health.HealthDrawing(context.server.scene)
         self._examining = threading.Lock()
-        self._scene: Scene | None = None  # what is drawn
-        # The scene that the report is on, the report and its marks.
+        self._scene: Scene | None = None  # drawn
+        # The examined scene, its report, marks and lift.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
         self._library = context.library
         self._source = context.source
@@ -101,7 +100,7 @@ class MeshTab(Part):
         self._set_state("")
         self._update_buttons()
 
-        # Plain functions: viser runs them in its pool, where they may take their time.
+        # Plain functions: viser runs them in its thread pool, so they may block.
         @self._examine.on_click
         def _examine(event: viser.GuiEvent[Any]) -> None:
             if self._examining.locked():
@@ -132,14 +131,14 @@ class MeshTab(Part):
             self._drawing.show(bool(event.target.value))
 
     def set_scene(self, scene: Scene) -> None:
-        """The report on another mesh is no longer true; that on the session's is kept for it."""
+        """Drop the report of another mesh; during a replay the session's is kept."""
         self._scene = scene
         if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
         self._show_report()
 
     def read_out(self, shown: Moment) -> None:
-        """What is kept, and what can be done just now."""
+        """Update the list of files and the buttons."""
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):
             value = self._files.value if self._files.value in names else names[0]
@@ -174,7 +173,7 @@ class MeshTab(Part):
         )
 
     def _ask_unit(self, client: viser.ClientHandle, path: Path) -> None:
-        """Ask the one who sent a file for what it does not say, then use it."""
+        """Ask the client for unit and orientation of an uploaded file, then use it."""
         found: list[tuple[float, str | None]] = []
         self._run(client, lambda: found.append(self._measured(path)), path.name)
         if not found:
@@ -194,7 +193,7 @@ class MeshTab(Part):
                 )
                 + " Choose the side first if another than z is to face the tool.</div>"
             )
-            # First: a dropdown that is opened with the focus would hide what is below it.
+            # Buttons first: they get the focus, with which a dropdown would open over the rest.
             choices = {
                 unit: client.gui.add_button(words)
                 for unit, words in choices_of(across, said).items()
@@ -230,21 +229,21 @@ class MeshTab(Part):
     def _run(
         self, client: viser.ClientHandle | None, job: Callable[[], None], about: str = ""
     ) -> None:
-        """Do one slow thing; whatever comes of it, the page goes on."""
+        """Run one job and report its errors."""
         try:
             job()
             self._set_state("")
-        except Refused as error:  # other work is under way, which the line above is about
+        except Refused as error:  # the state line shows the other work
             self._notify(client, f"Nothing is changed: {error}")
         except Exception as error:
-            # Whatever a reader of a user's file may raise, the old mesh stays.
+            # The reader of a user's file may raise anything.
             self._set_state(f"{about}: not taken. {error}".removeprefix(": "), palette.VERMILION)
             self._notify(client, f"Nothing is changed: {error}")
         finally:
             self._update_buttons()
 
     def _measured(self, path: Path) -> tuple[float, str | None]:
-        """The file's diagonal in its own unit, and that unit if it says it."""
+        """The mesh's diagonal in the unit of the file, and that unit if the file states it."""
         work = functools.partial(measure, str(path))
         with self._session.work.begin() as stop:
             self._update_buttons()
@@ -255,13 +254,13 @@ class MeshTab(Part):
             return found
 
     def _keep(self, path: Path, **wanted: Any) -> None:
-        """Use a file that has arrived, and keep it if it can be used."""
+        """Add an uploaded file to the library and use it; remove it if that fails."""
         before = {file.name for file in self._library.kept()}
         kept = self._library.add(path)
         try:
             self._change(mesh=str(kept), **wanted)
         except Refused:
-            raise  # nothing is wrong with the file: it can be chosen later
+            raise  # the file itself may be valid
         except Exception:
             if kept.name not in before:
                 self._library.delete(kept.name, self._session.options.mesh)
@@ -274,7 +273,7 @@ class MeshTab(Part):
         self._run_examination(scene)
 
     def _run_examination(self, scene: Scene) -> None:
-        """Examine a scene's mesh and show what is found."""
+        """Examine a scene's mesh and show the report."""
         with self._examining:
             self._update_buttons()
             found = meshes.health(
@@ -282,7 +281,7 @@ class MeshTab(Part):
             )
         if scene is not self._session.scene:
             return
-        # Clear of the mesh as drawn, which for large ones is a thinned copy.
+        # Clear of the drawn mesh, which may be decimated.
         lift = 0.04 * scene.surface.median_edge + (1e-3 * scene.surface.size) * scene.decimated
         self._examined = (
             scene,
@@ -294,7 +293,7 @@ class MeshTab(Part):
             self._show_report(scene)
 
     def _show_report(self, scene: Scene | None = None) -> None:
-        """The report and the marks of a scene, if it is examined; None: of what is drawn."""
+        """Show report and marks of a scene, if it is examined; None: of the drawn one."""
         scene = scene or self._scene
         if (
             scene is not None
@@ -322,7 +321,7 @@ class MeshTab(Part):
         self._set_state(f"⏳ {text} …", palette.BLUE)
 
     def _set_state(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
-        # As high with text as without: what comes and goes moves no button from under the mouse.
+        # Of fixed height, so that the buttons below keep their place.
         style = f"{_STYLE};height:2.7em;overflow-y:auto;color:{palette.css(color)}"
         content = f"<div style='{style}'>{html.escape(text)}</div>"
         if self._state.content != content:
@@ -330,5 +329,5 @@ class MeshTab(Part):
 
 
 def _labels(kept: list[Kept]) -> dict[str, Kept]:
-    """The files by what they are called in the list."""
+    """The files by their text in the list."""
     return {f"{file.name} ({size(file.size)})": file for file in kept}

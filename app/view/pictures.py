@@ -1,4 +1,4 @@
-"""Pictures for slides: one's own view as PNG or animated GIF, the scene as one HTML file."""
+"""Screenshots: a client's view as PNG or animated GIF, the scene as one HTML file."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from app.files import harmless
 from app.view.context import PageContext
 
 SIZE = (720, 1280)  # height and width of pictures [px]
-FRAMES, INTERVAL = 20, 0.2  # of an image sequence, and the time between two [s]
-TIMEOUT = 20.0  # for a browser to send a picture [s]
+FRAMES, INTERVAL = 20, 0.2  # of an image sequence; time between two frames [s]
+TIMEOUT = 20.0  # for a browser's picture [s]
 
 Job = Callable[[viser.ClientHandle], None]
 
 
 class Pictures:
-    """Three buttons, made where they are to be."""
+    """The buttons, added to the current container."""
 
     def __init__(
         self,
@@ -34,8 +34,8 @@ class Pictures:
         """Add the buttons.
 
         Args:
-            bind: gives a button its job, which may take its time.
-            progress: is told what takes long.
+            bind: sets a button's job, which may block.
+            progress: shows the progress of a long job.
         """
         self._context, self._progress = context, progress
         gui = context.server.gui
@@ -81,10 +81,10 @@ class Pictures:
 
 
 def picture(client: viser.ClientHandle) -> NDArray[np.uint8]:
-    """What a client sees of the scene (h, w, 3), no larger than its window.
+    """A client's view of the scene (h, w, 3), no larger than its window.
 
     Raises:
-        TimeoutError: the browser sends none (a hidden tab does not draw).
+        TimeoutError: the browser sent none; a hidden tab does not render.
     """
     camera = client.camera
     height, width = (
@@ -103,7 +103,7 @@ def png(image: NDArray[np.uint8]) -> bytes:
 
 
 def gif(images: list[NDArray[np.uint8]]) -> bytes:
-    """Images (h, w, 3) as an animated GIF that repeats."""
+    """Images (h, w, 3) as a looping animated GIF."""
     first, *rest = (Image.fromarray(image).convert("RGB") for image in images)
     stream = io.BytesIO()
     first.save(

@@ -1,4 +1,4 @@
-"""The left-hand panel, and the line that tells the state: numbers, and what the colours mean."""
+"""The left-hand panel with read-outs and legend, and the banner."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from app.view.source import Source
 
 
 class ReadoutPanel(Part):
-    """Tabs with the read-outs and the legend; other parts add theirs to `panel`."""
+    """Tabs with the read-outs and the legend; other parts add tabs to `panel`."""
 
     def __init__(
         self, server: viser.ViserServer, session: Session, source: Source, order: float
     ) -> None:
-        """`order`: where in the panel of controls the line of the state stands."""
+        """`order`: position of the banner in the panel of controls."""
         self._session, self._source = session, source
         self._measuring = Measuring()
         self._banner = server.gui.add_html("", order=order)
@@ -31,7 +31,7 @@ class ReadoutPanel(Part):
         self.panel.set_width(290)
 
     def read_out(self, shown: Moment) -> None:
-        """Measure, and tell."""
+        """Update read-outs and banner."""
         options, telemetry = shown.options, shown.telemetry
         extras = self._measuring.measure(shown, self._session.unwatched)
         self._table.content = readouts.readouts(telemetry, options, extras)

@@ -1,4 +1,4 @@
-"""Tab "Record": keep a session in a file; list, replay, rename and delete what is kept."""
+"""Tab "Record": record a session; list, replay, rename and delete recordings."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from app.view.part import Clients, Part
 from app.view.pictures import Pictures
 from app.view.replaying import Replaying
 
-MAX_RECORDINGS = 50  # recordings in the folder: who may click Record must not fill the disk
-MAX_DOWNLOAD = 200e6  # of a recording that a browser is sent [byte]
+MAX_RECORDINGS = 50  # in the folder, so that clients cannot fill the disk
+MAX_DOWNLOAD = 200e6  # size of a recording that is sent to a browser [byte]
 NONE = "–"
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;overflow-wrap:anywhere"
 
 
 def folder() -> Path:
-    """Where the page keeps recordings."""
+    """Folder of the page's recordings."""
     return platformdirs.user_data_path("vf-sandbox") / "recordings"
 
 
 class RecordTab(Part):
-    """Record and list; a replay has controls of its own, see `replaying`."""
+    """Controls of recordings; those of a replay are in `replaying`."""
 
     def __init__(self, context: PageContext) -> None:
         self._context, self._session, self._notify = context, context.session, context.notify
-        self._busy = threading.Lock()  # one order of this tab at a time
-        self._opening = False  # a replay is being built: the button stops that
+        self._busy = threading.Lock()  # one job of this tab at a time
+        self._opening = False  # a replay is being built; the button stops it
         self._replaying = Replaying(context)
         self._state_shown = ""
-        self._progress = ""  # what takes long just now
-        self._moved: set[Path] = set()  # where files were that were renamed or deleted since
-        self._select_next = ""  # what is to be chosen in the list once it is there
-        self._described: tuple[Any, ...] = ()  # what is said of a recording is of this file
+        self._progress = ""  # of the running job
+        self._moved: set[Path] = set()  # former paths of renamed or deleted files
+        self._select_next = ""  # name to select once it is listed
+        self._described: tuple[Any, ...] = ()  # name, size and time of the described file
         gui = context.server.gui
         with context.left.add_tab("Record"):
             self._record = gui.add_button(
@@ -68,7 +68,7 @@ class RecordTab(Part):
             Pictures(context, self._bind, self._set_progress)
         self._bind(self._record, self._toggle)
 
-        # A plain function, as in `_bind`.
+        # Not by `_bind`: while a replay is being built the button stops that.
         @self._open.on_click
         def _replay(event: viser.GuiEvent[Any]) -> None:
             client = event.client
@@ -84,14 +84,14 @@ class RecordTab(Part):
         self._refresh()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """The screen has asked the replay already."""
+        """Restore the cameras after a replay."""
         self._replaying.frame()
 
     def read_out(self, shown: Moment) -> None:
-        """How the recording goes, and where the replay is."""
+        """Update all controls, those of the replay included."""
         tape = self._session.tape
         going = tape is not None and tape.running
-        # Controls are written here alone, so that no two threads write them in turns.
+        # Only this thread writes the controls.
         self._refresh()
         self._replaying.read_out()
         self._record.disabled = self._session.suspended and not going
@@ -105,7 +105,7 @@ class RecordTab(Part):
         if tape is not None:
             text = f"Recording: {tape.rows:,} ticks." if going else tape.outcome
             color = palette.VERMILION if going or tape.note else palette.BLACK
-            if tape.path in self._moved:  # it says where that file is
+            if tape.path in self._moved:  # its outcome names the former path
                 text, color = "", palette.BLACK
             self._set_state(self._progress or text, color)
         else:
@@ -199,11 +199,11 @@ class RecordTab(Part):
         return path
 
     def _refresh(self) -> None:
-        """The newest recording first, and what the chosen one is."""
+        """Update the list, newest recording first, and the description of the selected one."""
         there = recordings()
         names = tuple(path.name for path in reversed(there)) or (NONE,)
         if names != tuple(self._list.options):
-            # A new recording is what one wants to see.
+            # A new recording is selected.
             new = names[0] not in self._list.options or self._list.value not in names
             chosen = self._select_next if self._select_next in names else None
             value = chosen or (names[0] if new else self._list.value)
@@ -231,7 +231,7 @@ class RecordTab(Part):
         self._about.content = _line(text, palette.GREY)
 
     def _bind(self, button: Any, job: Callable[[viser.ClientHandle], None]) -> None:
-        # A plain function: viser runs it in its pool, where it may take its time.
+        # A plain function: viser runs it in its thread pool, so it may block.
         @button.on_click
         def _clicked(event: viser.GuiEvent[Any]) -> None:
             client = event.client
@@ -239,7 +239,7 @@ class RecordTab(Part):
                 self._run(client, lambda: job(client))
 
     def _run(self, client: viser.ClientHandle, job: Callable[[], None]) -> None:
-        """Do one thing; the client is told why if it cannot be done."""
+        """Run one job and notify the client of its errors."""
         if not self._busy.acquire(blocking=False):
             self._notify(client, "One thing at a time: the last one is not done yet.")
             return
@@ -268,7 +268,7 @@ def _line(text: str, color: palette.Rgb) -> str:
 
 
 def recordings() -> list[Path]:
-    """The files in the folder, the oldest first."""
+    """The recordings in the folder, oldest first."""
 
     def begun(path: Path) -> tuple[float, str]:
         try:

@@ -1,4 +1,4 @@
-"""Part of the page: scenarios to load, each with its sentence, and the present set-up to save."""
+"""Folder "Scenario": load a scenario, save the current set-up."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from app.view.units import VIEW_SCALE
 from app.view.uploads import Receiver
 from app.words import OptionError, format_length
 
-ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
+ORDER = -0.5  # in the panel: below the help, above the settings
 FILE_NAME = "scenario.json"
-# As high whatever it says, so that loading moves no button from under the mouse.
+# Of fixed height, so that the controls below keep their place.
 _STYLE = "margin:0 .75em .3em;font-size:12px;line-height:1.35;height:5.4em;overflow-y:auto"
 
 
 class ScenarioChoice(Part):
-    """A list, a sentence, and two buttons.
+    """List of scenarios with a description; buttons to load, save and open a file.
 
-    Building a scene takes its time: in a thread of viser's pool, one at a time. The old scene stays
-    if that fails. A scenario's camera is for all who look, and for those who come later.
+    Scenes are built in viser's thread pool, one at a time; the old scene stays if that fails. A
+    scenario's camera applies to all clients, and to those that connect later.
     """
 
     def __init__(self, context: PageContext) -> None:
@@ -47,14 +47,14 @@ class ScenarioChoice(Part):
             context.cameras,
         )
         self._source, self._library = context.source, context.library
-        self._loading = False  # the sentence tells how far it is
+        self._loading = False  # the description shows the progress
         self._scenarios = dict(PRESETS)
         begun = context.scenario
         if begun is not None:
             self._scenarios[begun.name] = begun
-        # The scenario that was loaded last, and the version of its scene.
+        # The scenario loaded last, and the version of its scene.
         self._shown = None if begun is None else (begun, self._session.scene.version)
-        self._camera_due = False  # its scene is going to be drawn for the first time
+        self._camera_due = False  # set the cameras when its scene is drawn
         gui, names = context.server.gui, tuple(self._scenarios)
         with gui.add_folder("Scenario", order=ORDER):
             self._choice: Any = gui.add_dropdown(
@@ -81,7 +81,7 @@ class ScenarioChoice(Part):
             if not self._loading:
                 self._show_description()
 
-        # A plain function: viser runs it in its pool, where building may take its time.
+        # A plain function: viser runs it in its thread pool, so it may block.
         @self._buttons.on_click
         def _clicked(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
@@ -106,19 +106,19 @@ class ScenarioChoice(Part):
             self._input.submit(self._apply_camera, client)
 
     def set_scene(self, scene: Scene) -> None:
-        """Another mesh or arm: what was loaded is there no longer."""
+        """Update the description: the loaded scenario may be gone."""
         if not self._loading:
             self._show_description()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """A scenario's scene is drawn: look at it as the scenario says."""
+        """Apply the scenario's camera once its scene is drawn."""
         if self._camera_due and self._shown is not None and shown.scene.version == self._shown[1]:
             self._camera_due = False
             for client in clients.values():
                 self._apply_camera(client)
 
     def read_out(self, shown: Moment) -> None:
-        """While a replay is shown no scenario is begun."""
+        """Disable the controls during a replay."""
         live = self._source.live
         self._choice.disabled = self._open.disabled = not live
         self._buttons.visible = live
@@ -142,7 +142,7 @@ class ScenarioChoice(Part):
             self._begin(client, scenario)
 
     def _opened(self, client: viser.ClientHandle, path: Path) -> None:
-        """A scenario's file has arrived: it is in the list from now on, and begins."""
+        """Add the scenario of an uploaded file to the list, and load it."""
         try:
             scenario = loads(path.read_bytes(), find=self._library.find)
         except (OptionError, OSError) as error:
@@ -170,7 +170,7 @@ class ScenarioChoice(Part):
                     self._loading = False
                     self._show_description()
         except Exception as error:
-            # Whatever a reader of a mesh file may raise, the page and the old scene go on.
+            # The reader of a mesh file may raise anything; the old scene stays.
             self._notify(client, f"Not loaded: {error}")
 
     def _save(self, client: viser.ClientHandle) -> None:
@@ -193,7 +193,7 @@ class ScenarioChoice(Part):
             )
 
     def _seen_by(self, client: viser.ClientHandle) -> Viewpoint | str:
-        """How a client looks at the scene."""
+        """A client's camera as a scenario states it."""
         if client.client_id in self._cameras.following.clients:
             return "follow"
         T_base_mesh = self._session.scene.T_base_mesh

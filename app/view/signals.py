@@ -1,6 +1,6 @@
-"""Tab "Signals": the last twenty seconds as plots, and the trail of the tool's tip.
+"""Tab "Signals": plots of the last twenty seconds, and the trail of the tool's tip.
 
-Samples are taken whenever somebody watches the page, so that the tab opens with what was before.
+Samples are taken while a client is connected, also while the plots are off.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from app.view.part import Clients, Part
 
 FloatArray = NDArray[np.float64]
 
-SPAN = 20.0  # what the plots show [s]
+SPAN = 20.0  # of the plots [s]
 PERIOD = 0.1  # between two samples [s]
-PLOT_PERIOD = 0.5  # between two updates of the plots: a browser draws all five of them anew [s]
+PLOT_PERIOD = 0.5  # between two updates: a browser redraws all five plots [s]
 LENGTH = round(SPAN / PERIOD)
 
 WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
@@ -33,7 +33,7 @@ WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a plot."""
+    """One curve of a plot."""
 
     name: str
     color: palette.Rgb
@@ -41,7 +41,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Plot:
-    """What one plot shows: its title with the unit, its lines, and the least it reaches up to."""
+    """One plot: title with unit, curves, and the least upper end of its y axis."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -71,7 +71,7 @@ CURVES = sum(len(plot.curves) for plot in PLOTS)
 
 
 def sample(telemetry: Telemetry, surface: vf.Surface) -> FloatArray | None:
-    """One value for each curve, in the order of `PLOTS` and in their units; None: no tick yet."""
+    """One value per curve, in the order and units of `PLOTS`; None before the first tick."""
     step, stats = telemetry.step, telemetry.stats
     if step is None:
         return None
@@ -98,7 +98,7 @@ class History:
         self._count = 0
 
     def add(self, time: float, values: FloatArray) -> None:
-        """Append values (`CURVES`,) at a time [s]; one that is not later begins another history."""
+        """Append values (`CURVES`,) at a time [s]; one that is not later clears the history."""
         if self._count and time <= self._times[self._count - 1]:
             self.clear()
         if self._count == LENGTH:
@@ -110,11 +110,11 @@ class History:
         self._count += 1
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all samples."""
         self._count = 0
 
     def shown(self) -> tuple[FloatArray, FloatArray]:
-        """Times (n,) from the newest sample, −`SPAN` to 0 [s], and the values (n, `CURVES`)."""
+        """Times (n,) relative to the newest sample, −`SPAN` to 0 [s], and values (n, `CURVES`)."""
         if self._count == 0:
             return np.zeros(1), np.zeros((1, CURVES))
         times = self._times[: self._count] - self._times[self._count - 1]
@@ -123,7 +123,7 @@ class History:
 
 
 class Signals(Part):
-    """The tab. While nobody watches it computes nothing; switched off, it sends nothing."""
+    """The tab; switched off, it sends nothing."""
 
     def __init__(self, context: PageContext) -> None:
         gui = context.server.gui
@@ -131,12 +131,12 @@ class Signals(Part):
         self._history = History()
         self._trail = trail.Trail(context.server.scene)
         self._cleared = False
-        self._due = True  # draw at once, whatever the pace
+        self._due = True  # draw in the next frame
         self._scene: Scene = context.session.scene
-        self._session: tuple[History, trail.Path, Scene] | None = None  # waits for a replay's end
+        self._session: tuple[History, trail.Path, Scene] | None = None  # kept during a replay
         self._sample_time = -math.inf  # simulated time of the newest sample [s]
-        self._plot_time = 0.0  # when the plots were last sent [s]
-        self._trail_time = 0.0  # of the newest point of the trail [s]
+        self._plot_time = 0.0  # simulated time of the last plot [s]
+        self._trail_time = 0.0  # simulated time of the trail's newest point [s]
         with context.left.add_tab("Signals"):
             self._on = gui.add_checkbox(
                 "Plot", True, hint="Off, the plots stand still; what they miss is kept for later."
@@ -160,7 +160,7 @@ class Signals(Part):
             self._due = True
 
     def set_scene(self, scene: Scene) -> None:
-        """Another anatomy has another past."""
+        """Clear plots and trail for another scene."""
         self._swap_history()
         if scene.version == self._scene.version:
             return
@@ -168,7 +168,7 @@ class Signals(Part):
         self._clear_all()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Sample and draw, each at its own pace."""
+        """Sample and draw, each with its own period."""
         telemetry = shown.telemetry
         self._swap_history()
         if self._cleared:
@@ -176,7 +176,7 @@ class Signals(Part):
             self._clear_all()
         if telemetry.scene != self._scene.version or telemetry.step is None:
             return
-        if telemetry.time < self._sample_time:  # a replay that goes back
+        if telemetry.time < self._sample_time:  # a replay moved backwards
             self._history.clear()
             self._trail.path.break_line()
             self._restart()
@@ -193,7 +193,7 @@ class Signals(Part):
             self._draw()
 
     def _swap_history(self) -> None:
-        """A replay has a past of its own; the session's is there again when it is left."""
+        """Give a replay its own history, and restore the session's after it."""
         if self._source.live == (self._session is None):
             return
         if self._session is None:
@@ -206,7 +206,7 @@ class Signals(Part):
         self._restart()
 
     def _restart(self) -> None:
-        """Time has jumped: sample, mark and draw at once."""
+        """Sample and draw in the next frame: the simulated time has jumped."""
         self._sample_time = self._plot_time = self._trail_time = -math.inf
         self._due = True
 
@@ -271,7 +271,6 @@ class Signals(Part):
                 },
                 {"size": 42, "font": small, "gap": 2},
             ),
-            # One curve is what its title says.
             legend={"show": len(plot.curves) > 1, "live": False},
             cursor={"show": False},
             height=100 if last else 66,

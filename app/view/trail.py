@@ -1,4 +1,4 @@
-"""Layer: the path of the tool's tip, coloured by how deep in the anatomy it was."""
+"""Layer: the path of the tool's tip, coloured by its depth in the anatomy."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from app.view.units import to_buffer
 
 FloatArray = NDArray[np.float64]
 
-LENGTH = 600  # pieces kept; the oldest go first
-MIN_STEP = 2e-4  # a tip that moved by less leaves no mark [m]
-MAX_STEP = 1e-2  # a tip that moved by more between two looks was put there: no line [m]
-MAX_DEPTH = 2e-3  # depth of the darkest colour [m]: the skull's thickness
+LENGTH = 600  # segments kept; the oldest are dropped
+MIN_STEP = 2e-4  # length of the shortest segment [m]
+MAX_STEP = 1e-2  # a longer motion between two frames is a reset: no segment [m]
+MAX_DEPTH = 2e-3  # of the darkest colour [m]: the skull's thickness
 
-# From the surface down, dark enough to be told from bone and from each other by lightness alone.
+# From the surface downwards; distinct from bone and from each other by lightness alone.
 _OUTSIDE = palette.SKY
 _RAMP = np.array([palette.YELLOW, palette.ORANGE, palette.VERMILION, (90, 20, 0)], dtype=float)
 
@@ -31,7 +31,7 @@ def colors(distances: FloatArray) -> NDArray[np.uint8]:
 
 
 def legend() -> str:
-    """HTML of what the trail's colours mean."""
+    """HTML legend of the trail's colours."""
     stops = ",".join(palette.css(tuple(map(int, c))) for c in _RAMP)  # type: ignore[arg-type]
     return (
         "<div style='margin:0 .75em .4em;font-size:11px;color:var(--vf-soft);display:flex;gap:5px;"
@@ -46,16 +46,16 @@ def legend() -> str:
 
 
 class Path:
-    """The points of a trail, at most `LENGTH` pieces of it."""
+    """The newest `LENGTH` segments of a path."""
 
     def __init__(self) -> None:
-        self.segments = np.zeros((LENGTH, 2, 3))  # ends of the pieces [m], oldest first
-        self.distances = np.zeros((LENGTH, 2))  # signed, at those ends [m]
+        self.segments = np.zeros((LENGTH, 2, 3))  # end points [m], oldest first
+        self.distances = np.zeros((LENGTH, 2))  # signed, at the end points [m]
         self.count = 0
         self._last: tuple[FloatArray, float] | None = None
 
     def add(self, p_tip: FloatArray, distance: float) -> bool:
-        """Note the tip at p_tip (3,) [m], its signed distance [m]; whether a piece was added."""
+        """Extend to p_tip (3,) [m] at a signed distance [m]; whether a segment was added."""
         last = self._last
         if last is None:
             self._last = (p_tip, distance)
@@ -76,18 +76,17 @@ class Path:
         return True
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all segments."""
         self.count = 0
         self._last = None
 
     def break_line(self) -> None:
-        """The next point begins a new line."""
+        """The next point starts a new line."""
         self._last = None
 
 
 class Trail:
-    """The path as drawn. Its node always has the same number of pieces; unused ones have no
-    length."""
+    """Draws a path. Its node always has `LENGTH` segments; unused ones have zero length."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self.path = Path()

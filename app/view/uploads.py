@@ -71,7 +71,7 @@ class Uploads:
     """
 
     def __init__(self, server: viser.ViserServer, notify: Notify) -> None:
-        """Take over from viser's own collecting. `tell`: why a file was not taken."""
+        """Replace viser's upload handlers. `notify` tells a client why a file is refused."""
         self._server = server
         self._notify = notify
         self._receivers: dict[str, Receiver] = {}  # by button
@@ -199,7 +199,7 @@ class Uploads:
         try:
             on_complete(client, path)
         except Exception:
-            log.exception("a file that on_complete could not be handed on")
+            log.exception("an uploaded file could not be processed")
 
     def _fail(self, key: str, reason: str) -> None:
         transfer = self._transfers[key]

@@ -1,4 +1,4 @@
-"""What the inspector says, as HTML made from an inspection. Pure functions."""
+"""Texts of the inspector, as HTML. Pure functions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _SHORT = {
 
 
 def reason(report: TriangleReport, subject: Subject) -> str:
-    """Why the paper's conditions took a triangle or passed it over, in a sentence or two."""
+    """Why the paper's conditions gave a triangle a plane, or none."""
     it = "its closest point"
     corner = report.feature >= Feature.VERTEX_0
     on = "in a corner" if corner else "on an edge"
@@ -97,7 +97,7 @@ def reason(report: TriangleReport, subject: Subject) -> str:
 
 
 def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
-    """What the certified rule made of a triangle, in a sentence."""
+    """Why the certified rule gave a triangle a plane, or none."""
     subject, explanation = inspection.subject, inspection.explanation
     match report.cover:
         case Cover.GAVE:
@@ -117,7 +117,7 @@ def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
 
 
 def triangle(inspection: Inspection, chosen: int) -> str:
-    """All about one triangle."""
+    """The report on one triangle."""
     subject, explanation = inspection.subject, inspection.explanation
     if chosen < 0:
         return _box("No triangle in the motion sphere. Click one, or move nearer.")
@@ -140,7 +140,7 @@ def triangle(inspection: Inspection, chosen: int) -> str:
     head = (
         f"<div style='{_BOX};margin-bottom:.2em'><span class='vf-triangle' "
         f"data-triangle='{chosen}' style='display:inline-block;padding:1px 8px;border-radius:3px;"
-        f"font-weight:600;color:{_on(state.color)};background:{palette.css(state.color)}'>"
+        f"font-weight:600;color:{_text_color(state.color)};background:{palette.css(state.color)}'>"
         f"{html.escape(subject.name(chosen))}</span> <span style='{_SMALL}'>{rank}</span></div>"
     )
     verdict = (
@@ -155,7 +155,7 @@ def triangle(inspection: Inspection, chosen: int) -> str:
 
 
 def nearest(inspection: Inspection, chosen: int) -> str:
-    """The nearest triangles, one a line, and how many there are of each kind."""
+    """The list of the nearest triangles, and the number of each state."""
     subject, explanation = inspection.subject, inspection.explanation
     first = max(0, min(explanation.row(chosen) - NEAREST // 2, len(explanation) - NEAREST))
     lines = []
@@ -185,7 +185,7 @@ def nearest(inspection: Inspection, chosen: int) -> str:
 
 
 def comparison(compared: Forecasts) -> str:
-    """The rules side by side: columns are rules, as there are fewer of them than lines fit."""
+    """Table of the forecasts, one column per rule."""
     forecasts, x = compared.of, compared.x
     cell = "padding:0 0 0 4px;text-align:right;white-space:nowrap"
 
@@ -199,7 +199,7 @@ def comparison(compared: Forecasts) -> str:
         line("planes", [f"{t.planes:,}" for t in forecasts], "how many half-spaces"),
         line(
             "leak",
-            [_alarm(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
+            [_highlight(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
             "share of the surface in the sphere on the allowed side of every plane (sampled)",
         ),
         line(
@@ -217,7 +217,7 @@ def comparison(compared: Forecasts) -> str:
             ),
             line(
                 "end gap, µm",
-                [_alarm(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
+                [_highlight(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
                 "from where it would go to the surface",
             ),
         ]
@@ -241,7 +241,7 @@ def comparison(compared: Forecasts) -> str:
 
 
 def region(inspection: Inspection) -> str:
-    """How much of the sphere is allowed."""
+    """The allowed share of the sphere."""
     solid = inspection.region
     if solid is None:
         return ""
@@ -253,19 +253,19 @@ def region(inspection: Inspection) -> str:
 
 
 def state_of(report: TriangleReport) -> palette.TriangleState:
-    """Which colour a triangle has."""
+    """State of a triangle, which gives its colour."""
     return STATES[int(states(np.array([report.verdict]), np.array([report.cover]))[0])]
 
 
 def states(verdicts: NDArray[np.int8], covers: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Places in `STATES` of triangles with these verdicts and covers (k,)."""
+    """Indices into `STATES` of triangles with these verdicts and covers (k,)."""
     found = _BY_VERDICT[verdicts]
     only = (found == STATES.index(palette.TriangleState.INACTIVE)) & (covers == Cover.GAVE)
     return np.where(only, STATES.index(palette.TriangleState.CERTIFIED), found).astype(np.int8)
 
 
 def _plane(inspection: Inspection, report: TriangleReport) -> str:
-    """The plane in force under this triangle, and whether the QP leans on it."""
+    """The plane of a triangle in force, and how far it pushed the tip back."""
     subject, planes = inspection.subject, inspection.planes
     under = report.triangle
     rows = np.flatnonzero(planes.triangles == under)
@@ -315,13 +315,13 @@ def _percent(share: float) -> str:
     return f"{share:.0%}" if share == 0.0 or share >= 0.01 else "<1%"
 
 
-def _alarm(text: str, on: bool) -> str:
+def _highlight(text: str, on: bool) -> str:
     color = palette.css(palette.VERMILION)
     return f"<b style='color:{color}'>{text}</b>" if on else text
 
 
-def _on(color: palette.Rgb) -> str:
-    """Black or white, whichever is read more easily on a colour."""
+def _text_color(color: palette.Rgb) -> str:
+    """Black or white, whichever has more contrast to a colour."""
     return "#000" if 0.3 * color[0] + 0.59 * color[1] + 0.11 * color[2] > 120 else "#fff"
 
 

@@ -1,4 +1,4 @@
-"""Layer: triangles in the sphere coloured by their state, the chosen one, the allowed region."""
+"""Layer: triangles in the sphere coloured by state, the chosen one, the allowed region."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
 
-LIFT = 0.008  # of the sphere's radius: towards the tool, clear of the mesh's own triangles
-DOT = 0.06  # size of the closest point's dot, of the sphere's radius
+# In radii of the motion sphere.
+LIFT = 0.008  # offset along the normals, clear of the mesh's own triangles
+DOT = 0.06  # diameter of the closest point's dot
 
 
 class NearDrawing:
-    """What the inspector adds to the anatomy. What did not change is not sent again."""
+    """What the inspector draws on the anatomy; only changes are sent."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._meshes = {
@@ -50,7 +51,7 @@ class NearDrawing:
         self._radius = 0.0
 
     def hide(self) -> None:
-        """Take everything away until the next `draw`."""
+        """Hide everything until the next `draw`."""
         chosen = self._outline, self._neighbours, self._foot, self._feet, self._dot
         for node in (*self._meshes.values(), self._grid, *chosen, self._region):
             node.visible = False
@@ -58,7 +59,7 @@ class NearDrawing:
         self._shown, self._grid_shown, self._solid = {}, b"", None
 
     def draw(self, inspection: Inspection, chosen: int) -> None:
-        """Draw an inspection and the triangle that was chosen (−1: none)."""
+        """Draw an inspection and the chosen triangle (−1: none)."""
         self._draw_near(inspection)
         self._draw_chosen(inspection.subject, inspection.explanation, chosen)
         solid = inspection.region
@@ -114,7 +115,7 @@ class NearDrawing:
         for node in (self._outline, self._foot, self._dot):
             node.visible = True
         self._name.visible = True
-        # In a case, everybody's closest point tells the story.
+        # In a case of the paper, the closest points of both triangles.
         self._feet.visible = bool(subject.names)
         if subject.names:
             x = np.broadcast_to(subject.x, explanation.points.shape)
@@ -124,10 +125,10 @@ class NearDrawing:
 def _lifted(
     explanation: vf.Explanation, triangles: NDArray[np.int64], share: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Corners (k, 3, 3) of triangles moved outwards, and inwards as well where x is behind.
+    """Corners (k, 3, 3) of triangles offset outwards, and also inwards for those that x is behind.
 
-    Also returns where it is. An outer face that x is behind is looked at from outside, an open
-    sheet from behind.
+    Also returns a mask of the latter. Both sides are drawn, as an outer face is seen from outside,
+    an open sheet from behind.
     """
     surface = explanation.surface
     corners = surface.vertices[surface.faces[triangles]]
@@ -138,7 +139,7 @@ def _lifted(
 
 
 def _edges(corners: FloatArray) -> FloatArray:
-    """The sides (3k, 2, 3) of triangles (k, 3, 3)."""
+    """Edges (3k, 2, 3) of triangles (k, 3, 3)."""
     return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
 
 

@@ -1,4 +1,4 @@
-"""The tab "Inspector": its controls, and what follows from them."""
+"""Tab "Inspector": its controls and their effects."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from app.view.worker import Worker
 
 FloatArray = NDArray[np.float64]
 
-REQUEST_PERIOD = 0.08  # shortest time between two questions to the thread [s]
+REQUEST_PERIOD = 0.08  # shortest time between two requests [s]
 HERE = "this anatomy"
 BACK, MAIN, ON = "◀", "Main", "▶"
-RULES = ("paper", "certified", "all")  # whose planes are shown at the probe
-MAX_PROBE_DISTANCE = 2.0  # a probe farther than this from the base is a mistake [m]
+RULES = ("paper", "certified", "all")  # for the planes at the probe
+MAX_PROBE_DISTANCE = 2.0  # reject probe positions farther than this from the base [m]
 
 _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-soft)"
 _INTRO = (
@@ -43,10 +43,10 @@ _INTRO = (
 
 
 class InspectorTab(Part):
-    """A part of the page, see `app.view.part`. Shared by all who look on.
+    """The tab and its drawings, shared by all clients.
 
-    Clicks come on the event loop and only change a few attributes, each at once; the view thread
-    reads them. Orders to the session go through the hand.
+    Callbacks on the event loop only set attributes, which the view thread reads. Orders to the
+    session go through `client_input`.
     """
 
     def __init__(self, context: PageContext) -> None:
@@ -57,23 +57,21 @@ class InspectorTab(Part):
         self._probe = Probe(context.server.scene, context.labels)
         self._on = False
         self._drawn: tuple[Inspection, int] | None = None
-        self._requested_at = 0.0  # when [s]
+        self._requested_at = 0.0  # monotonic time [s]
         self._request: Request | None = None
-        self._step: vf.Step | None = None  # of the tick that is shown
-        self._chosen: int | None = None  # None: whichever blocks, or is nearest
+        self._step: vf.Step | None = None  # of the shown tick
+        self._chosen: int | None = None  # None: the main triangle of the inspection
         self._region = False
         self._comparing = False
         self._exploring = False
-        self._probing = False  # the probe is drawn; the view thread's own
-        self._resume = False  # once the exploring is over
+        self._probing = False  # the probe is drawn; used by the view thread only
+        self._resume = False  # the loop, after the exploring
         self._case: figures.Case | None = None
-        self._surface = self._scene.surface  # what the probe moves over
+        self._surface = self._scene.surface  # under the probe
         self._probe_at = np.zeros(3)  # replaced as a whole
         self._rule = RULES[0]
         with context.left.add_tab("Inspector"):
             self._controls(context.server.gui)
-
-    # What the page calls, from the view thread
 
     def set_scene(self, scene: Scene) -> None:
         self._scene = scene
@@ -100,7 +98,7 @@ class InspectorTab(Part):
                 self._near.hide()
             return
         now = time.monotonic()
-        # However much the sphere holds, the thread takes a quarter of a core at most.
+        # The thread uses at most a quarter of a core.
         if now >= self._requested_at + max(REQUEST_PERIOD, 4.0 * self._worker.duration):
             subject = self._subject(telemetry)
             if subject is not None:
@@ -142,10 +140,8 @@ class InspectorTab(Part):
             else ""
         )
 
-    # What there is to see
-
     def _newest(self) -> Inspection | None:
-        """The thread's newest answer, unless it is about something that is gone."""
+        """The newest result, unless it is of another scene or mode."""
         inspection = self._worker.latest()
         if inspection is None:
             return None
@@ -157,7 +153,6 @@ class InspectorTab(Part):
         return inspection
 
     def _subject(self, telemetry: Telemetry) -> Subject | None:
-        # Of what is shown, which a replay puts in the session's place.
         options, scene, step = self._context.source.shown.options, self._scene, telemetry.step
         if step is None or telemetry.scene != scene.version:
             return None
@@ -180,8 +175,6 @@ class InspectorTab(Part):
         if chosen is None or chosen >= len(inspection.subject.surface.faces):
             return inspection.main_triangle()
         return chosen
-
-    # What the operator does
 
     def _controls(self, gui: viser.GuiApi) -> None:
         self._inspect: Any = gui.add_checkbox(
@@ -241,7 +234,7 @@ class InspectorTab(Part):
             self._move_probe(np.array(event.target.wxyz), np.array(event.target.position))
 
     def _bind(self, control: Any, take: Callable[[viser.ClientHandle, Any], None]) -> None:
-        """Let the hand's worker act on what a client set."""
+        """Call `take` on the input worker when a client sets the control."""
 
         @control.on_update
         async def _updated(event: viser.GuiEvent[Any]) -> None:
@@ -332,7 +325,7 @@ class InspectorTab(Part):
         self._exploring = True
 
     def _explore_anatomy(self, client: viser.ClientHandle) -> None:
-        """Put the probe case_pose the tool, over the surface."""
+        """Place the probe beside the tool, above the anatomy."""
         scene, step = self._scene, self._step
         tip = scene.T_base_start if step is None else step.tip
         radius = 5e-3 if step is None else step.radius
@@ -368,7 +361,7 @@ class InspectorTab(Part):
 
 
 def beside_tool(surface: vf.Surface, p_tip: FloatArray, radius: float) -> FloatArray:
-    """A spot (3,) one and a half spheres case_pose the tool, a third of one off the surface."""
+    """A point (3,) about 1.5 radii beside p_tip (3,), a third of a radius above the surface."""
     side = np.cross([0.0, 0.0, 1.0], camera.DIRECTION)
     spot = p_tip + 1.5 * radius * side / np.linalg.norm(side)
     distance, triangle, point = surface.nearest(spot)

@@ -247,9 +247,11 @@ def test_scale_bars_that_are_switched_off_stay_off_in_another_scene() -> None:
     rulers = Rulers(SimpleNamespace(add_line_segments=line), page)
     built = scenes.build(Options(mesh="cube", robot="point"), 1)
     shown = lambda: [*(bar.visible for bar in bars[-2:]), page["/ruler/site/label"].visible]  # noqa: E731
-    rulers.set_scene(built, 0.01)
+    rulers.set_scene(built)
     assert shown() == [True, True, True]
-    assert page["/ruler/site/label"].text == "2 mm"  # the longest within 0.3 of 1 cm
+    assert (
+        page["/ruler/site/label"].text == "5 mm"
+    )  # at most 0.3 of a quarter of the diagonal, 69 mm
     rulers.show(False)
-    rulers.set_scene(built, 0.01)
+    rulers.set_scene(built)
     assert shown() == [False, False, False]
