@@ -79,7 +79,7 @@ def certified_planes(
 
     Returns:
         Planes with n·x ≥ o. `radius` is smaller than asked for where the budget of 64 planes was
-        spent; the claim then holds for that ball.
+        spent, and 0 where x lies on a triangle within rounding; the claim then holds for that ball.
 
     Raises:
         ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`).

@@ -25,7 +25,7 @@ from vf.winding import Moments, moments, winding_number
 
 
 class Edge(IntEnum):
-    """What lies across an edge of a face (design: the sign of N_a · (w_i − p_e))."""
+    """What lies across an edge of a face, by the sign of N_a · (w_i − p_e)."""
 
     RIDGE = 0  # locally convex: the two half-spaces form a union
     VALLEY = 1  # locally concave: the two half-spaces intersect

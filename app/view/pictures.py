@@ -70,9 +70,8 @@ class Pictures:
         client.send_file_download(f"{self._name()}.gif", gif(taken), save_immediately=True)
 
     def _scene_page(self, client: viser.ClientHandle) -> None:
-        with self._context.labels.in_scene():
-            scene = self._context.server.get_scene_serializer()
-        content = scene.as_html().encode()
+        with self._context.labels.in_scene():  # until the end: the writer follows what is removed
+            content = self._context.server.get_scene_serializer().as_html().encode()
         client.send_file_download(f"{self._name()}.html", content, save_immediately=True)
 
     def _name(self) -> str:

@@ -283,10 +283,10 @@ def test_the_scene_as_a_file_opens_with_its_labels_apart(
     press(session)
     wait_until(lambda: page._labels["/fixture/blocks"].visible, "the page to show it")
     with page._labels.in_scene():
-        scene = page.server.get_scene_serializer()
+        content = page.server.get_scene_serializer().as_html()
     nodes = page.server.scene._handle_from_node_name
     assert not any(node.startswith("/labels/") for node in nodes), "only in the file"
-    (tmp_path / "scene.html").write_text(scene.as_html(), encoding="utf-8")
+    (tmp_path / "scene.html").write_text(content, encoding="utf-8")
     context = browser.new_context(viewport={"width": 1280, "height": 720}, offline=True)
     try:
         tab = context.new_page()
