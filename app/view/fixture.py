@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.recording.playback import Moment
-from app.view import palette
+from app.view import nodes, palette
 from app.view.camera import DIRECTION
 from app.view.labels import Labels
 from app.view.part import Clients, Part
@@ -59,14 +59,8 @@ class FixtureDrawing(Part):
         self._normals = _batch(api, f"{root}/normals", _arrow())
         # Of the plane that pushes most: a thick ring, a large arrow, a label.
         self._blocking = [
-            api.add_mesh_simple(
-                f"{root}/blocking_{name}",
-                *shape,
-                color=palette.BLOCKING,
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-                visible=False,
+            nodes.mesh(
+                api, f"{root}/blocking_{name}", palette.BLOCKING, vertices=shape[0], faces=shape[1]
             )
             for name, shape in (
                 ("ring", _rim(inner=0.93)),
@@ -75,27 +69,11 @@ class FixtureDrawing(Part):
         ]
         self._blocks = labels.add(f"{root}/blocks", anchor="bottom-left")
         self._triangles = {
-            rule: api.add_mesh_simple(
-                f"{root}/triangles_{rule.name.lower()}",
-                vertices=np.zeros((3, 3), dtype=np.float32),
-                faces=np.array([[0, 1, 2]], dtype=np.uint32),
-                color=look.color,
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-                visible=False,
-            )
+            rule: nodes.mesh(api, f"{root}/triangles_{rule.name.lower()}", look.color)
             for rule, look in palette.LOOKS.items()
         }
         # The triangles are shaded; their unshaded edges have the legend's colours.
-        self._edges = api.add_line_segments(
-            f"{root}/edges",
-            points=np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.float32),
-            colors=np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.uint8),
-            thickness=2.5,
-            thickness_units="screen",
-            visible=False,
-        )
+        self._edges = nodes.lines(api, f"{root}/edges", 2.5, count=3 * MAX_PLANES)
         self.show_sphere = True
         self.show_planes = True
         self.show_normals = True
@@ -134,17 +112,10 @@ class FixtureDrawing(Part):
 
     def hide(self) -> None:
         """Hide everything until the next `draw`."""
-        nodes = (
-            self._edges,
-            self._sphere,
-            self._idle_discs,
-            self._active_discs,
-            self._rims,
-            self._normals,
-        )
-        for node in (*nodes, *self._blocking, *self._triangles.values()):
+        batches = self._idle_discs, self._active_discs, self._rims, self._normals
+        meshes = *batches, *self._blocking, *self._triangles.values()
+        for node in (self._edges, self._sphere, self._blocks, *meshes):
             node.visible = False
-        self._blocks.visible = False
 
     def _draw_planes(
         self,

@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.view import palette
+from app.view import nodes, palette
 from app.view.palette import Rgb
 from app.view.units import to_buffer
 from meshes import Finding, Health
@@ -74,28 +74,11 @@ class HealthDrawing:
 
     def __init__(self, api: viser.SceneApi) -> None:
         self._faces = {
-            name: api.add_mesh_simple(
-                f"/health/{name}",
-                vertices=np.zeros((3, 3), dtype=np.float32),
-                faces=np.array([[0, 1, 2]], dtype=np.uint32),
-                color=rgb,
-                side="double",
-                flat_shading=True,
-                cast_shadow=False,
-                receive_shadow=False,
-                visible=False,
-            )
+            name: nodes.mesh(api, f"/health/{name}", rgb, flat_shading=True)
             for name, rgb in (("defects", DEFECT), ("notes", NOTE))
         }
         self._edges = {
-            kind: api.add_line_segments(
-                f"/health/{kind.replace(' ', '_')}",
-                points=np.zeros((1, 2, 3), dtype=np.float32),
-                colors=rgb,
-                thickness=4.0,
-                thickness_units="screen",
-                visible=False,
-            )
+            kind: nodes.lines(api, f"/health/{kind.replace(' ', '_')}", 4.0, rgb)
             for kind, rgb in EDGES.items()
         }
         self._points = api.add_point_cloud(

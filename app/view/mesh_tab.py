@@ -62,13 +62,13 @@ class MeshTab(Part):
             )
             self._state = server.gui.add_html("")
             self._stop = server.gui.add_button(
-                "Stop", hint="Give up the work on the mesh: nothing is changed.", disabled=True
+                "Stop", hint="Stop the work on the mesh; nothing is changed.", disabled=True
             )
             self._files: Any = server.gui.add_dropdown(
                 "Kept files",
                 (NONE,),
                 initial_value=NONE,
-                hint="Meshes that were brought, also before a restart. The list Mesh has them all.",
+                hint="Uploaded meshes, also from before a restart. The list Mesh has all of them.",
             )
             self._delete = server.gui.add_button(
                 "Delete mesh file", icon=viser.Icon.TRASH, color="gray"
@@ -80,11 +80,12 @@ class MeshTab(Part):
             self._report = server.gui.add_html("")
             self._repair = server.gui.add_button(
                 "Repair",
-                hint="Weld, drop what is no face, turn what is wound wrongly. Nothing is moved and "
-                "no hole is filled.",
+                hint="Weld vertices, remove degenerate faces, correct the winding. No vertex is "
+                "moved, no hole filled.",
             )
             self._flip = server.gui.add_button(
-                "Flip", hint="Turn open sheets over: they have no outside to be known by."
+                "Flip",
+                hint="Reverse the winding of open sheets: their outside is not known.",
             )
         context.uploads.register(
             self._upload,

@@ -180,14 +180,14 @@ class Page:
 
     @property
     def warning(self) -> str:
-        """Warning for whoever starts a page that other machines can reach; else empty."""
+        """Warning if other machines can reach the page; else empty."""
         if self._token is None:
             return ""
         return (
             f"The page listens on {self._host}: anybody with the address above, token included, "
             "can move the simulated tool, change its settings, and upload and delete files of the "
             "page, unencrypted. "
-            "Without the token nobody is let in. "
+            "Without the token access is refused. "
             f"From other machines: {self._address(socket.gethostname())}"
         )
 

@@ -8,7 +8,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.recording.playback import Moment
-from app.view import palette
+from app.view import nodes, palette
 from app.view.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import pose_to_view, to_buffer, to_view
@@ -42,14 +42,7 @@ class Proxy(Part):
             visible=False,
         )
         self._ball_name = labels.add("/proxy/ball_name", "proxy", anchor="bottom-right")
-        self._tether = api.add_line_segments(
-            "/proxy/tether",
-            points=np.zeros((1, 2, 3), dtype=np.float32),
-            colors=palette.PROXY,
-            thickness=2.5,
-            thickness_units="screen",
-            visible=False,
-        )
+        self._tether = nodes.lines(api, "/proxy/tether", 2.5, palette.PROXY)
         self._show_tether = True
         self._show_labels = True
         self.holder = ""

@@ -238,7 +238,7 @@ def _state(
         place = "The tool is inside the anatomy. " if inside else ""
         return f"Paused. {place}Run, or step tick by tick.", orange
     if telemetry.stale:
-        return "Stale: contact to the dragging hand is lost, the tool holds.", red
+        return "Stale: no message from the dragging client, the tool holds.", red
     if step is not None and step.status == vf.Status.INSIDE:
         return "Inside the anatomy: only motion towards the outside passes.", red
     if step is not None and step.status == vf.Status.REFUSED:

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.view import palette
+from app.view import nodes, palette
 from app.view.units import to_buffer
 
 FloatArray = NDArray[np.float64]
@@ -90,14 +90,7 @@ class Trail:
 
     def __init__(self, api: viser.SceneApi) -> None:
         self.path = Path()
-        self._node = api.add_line_segments(
-            "/trail",
-            points=np.zeros((LENGTH, 2, 3), dtype=np.float32),
-            colors=np.zeros((LENGTH, 2, 3), dtype=np.uint8),
-            thickness=4.0,
-            thickness_units="screen",
-            visible=False,
-        )
+        self._node = nodes.lines(api, "/trail", 4.0, count=LENGTH)
 
     def draw(self) -> None:
         """Send the path to the clients."""

@@ -133,7 +133,7 @@ class Uploads:
             more = f" ({receiver.limit_hint})" if receiver.limit_hint else ""
             return f"{size(length)} are more than the {size(receiver.limit)} allowed{more}"
         if any(transfer.client_id == client_id for transfer in self._transfers.values()):
-            return "another file of yours is still on its way"
+            return "another file of yours is still being uploaded"
         if len(self._transfers) >= MAX_TRANSFERS:
             return "others are sending files: try again in a moment"
         return receiver.refusal(length)
@@ -152,7 +152,7 @@ class Uploads:
             and transfer.received + len(content) <= transfer.size
         )
         if not sound:
-            self._fail(message.transfer_uuid, "it came in damaged")
+            self._fail(message.transfer_uuid, "a part of it is invalid")
             return
         try:
             transfer.stream.write(content)
@@ -166,7 +166,7 @@ class Uploads:
         )
         if transfer.part == transfer.parts:
             if transfer.received != transfer.size:
-                self._fail(message.transfer_uuid, "it came in cut off")
+                self._fail(message.transfer_uuid, "it is incomplete")
                 return
             self._complete(message.transfer_uuid)
 

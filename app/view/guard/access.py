@@ -68,7 +68,7 @@ class Access:
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_own_name(hosts[0]):
             return HTTPStatus.MISDIRECTED_REQUEST, (
-                "This page does not go by that name. Open it by the address it printed.\n"
+                "Unknown host name. Open the address that vf-sandbox printed.\n"
             )
         origins = request.headers.get_all("Origin")
         # Programs other than browsers send no Origin; they carry no cookies of a user either.

@@ -92,8 +92,8 @@ def reason(report: TriangleReport, subject: Subject) -> str:
             return "Passed over: the triangle has no area, so it has no normal."
     beyond = report.distance - subject.radius - subject.options.tip_radius
     if beyond > 0.0:
-        return f"Not asked: {beyond * 1e3:.2f} mm beyond the motion sphere."
-    return "Not examined: more triangles than the inspector looks at are nearer."
+        return f"Not examined: {beyond * 1e3:.2f} mm beyond the motion sphere."
+    return "Not examined: too many triangles are nearer."
 
 
 def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
@@ -112,8 +112,8 @@ def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
         case Cover.BEHIND_SEVERAL:
             return "Needs none: its part in the sphere is behind the planes taken together."
     if explanation.inside:
-        return "Not asked: the tool is inside, so there is one plane only, towards the way out."
-    return "Not judged: outside the sphere in which the planes are valid."
+        return "Not examined: the tool is inside, where the only plane is the one of the way out."
+    return "Not examined: outside the sphere in which the planes are valid."
 
 
 def triangle(inspection: Inspection, chosen: int) -> str:

@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.view import palette
+from app.view import nodes, palette
 from app.view.inspector.descriptions import states
 from app.view.inspector.inspection import Inspection, Subject
 from app.view.inspector.region import Region
@@ -26,14 +26,16 @@ class NearDrawing:
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._meshes = {
-            state: _mesh(api, f"/inspector/near/{state.name.lower()}", look.color)
+            state: nodes.mesh(
+                api, f"/inspector/near/{state.name.lower()}", look.color, flat_shading=True
+            )
             for state, look in palette.TRIANGLE_STATES.items()
         }
-        self._grid = _lines(api, "/inspector/near/grid", (90, 90, 90), 1.0)
-        self._outline = _lines(api, "/inspector/chosen/outline", palette.BLACK, 5.0)
-        self._neighbours = _lines(api, "/inspector/chosen/neighbours", palette.BLACK, 2.0)
-        self._foot = _lines(api, "/inspector/chosen/foot", palette.BLACK, 2.5)
-        self._feet = _lines(api, "/inspector/chosen/feet", (90, 90, 90), 1.5)
+        self._grid = nodes.lines(api, "/inspector/near/grid", 1.0, (90, 90, 90))
+        self._outline = nodes.lines(api, "/inspector/chosen/outline", 5.0, palette.BLACK)
+        self._neighbours = nodes.lines(api, "/inspector/chosen/neighbours", 2.0, palette.BLACK)
+        self._foot = nodes.lines(api, "/inspector/chosen/foot", 2.5, palette.BLACK)
+        self._feet = nodes.lines(api, "/inspector/chosen/feet", 1.5, (90, 90, 90))
         self._dot = api.add_icosphere(
             "/inspector/chosen/point",
             radius=1.0,
@@ -43,7 +45,9 @@ class NearDrawing:
             visible=False,
         )
         self._name = labels.add("/inspector/chosen/name", anchor="bottom-left")
-        self._region = _mesh(api, "/inspector/region", palette.SPHERE, opacity=0.45)
+        self._region = nodes.mesh(
+            api, "/inspector/region", palette.SPHERE, opacity=0.45, flat_shading=True
+        )
         self._shown: dict[palette.TriangleState, bytes] = {}
         self._grid_shown = b""
         self._solid: Region | None = None
@@ -141,33 +145,3 @@ def _lifted(
 def _edges(corners: FloatArray) -> FloatArray:
     """Edges (3k, 2, 3) of triangles (k, 3, 3)."""
     return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-
-
-def _mesh(
-    api: viser.SceneApi, name: str, color: palette.Rgb, opacity: float | None = None
-) -> viser.MeshHandle:
-    return api.add_mesh_simple(
-        name,
-        vertices=np.zeros((3, 3), dtype=np.float32),
-        faces=np.array([[0, 1, 2]], dtype=np.uint32),
-        color=color,
-        opacity=opacity,
-        flat_shading=True,
-        side="double",
-        cast_shadow=False,
-        receive_shadow=False,
-        visible=False,
-    )
-
-
-def _lines(
-    api: viser.SceneApi, name: str, color: palette.Rgb, thickness: float
-) -> viser.LineSegmentsHandle:
-    return api.add_line_segments(
-        name,
-        points=np.zeros((1, 2, 3), dtype=np.float32),
-        colors=color,
-        thickness=thickness,
-        thickness_units="screen",
-        visible=False,
-    )

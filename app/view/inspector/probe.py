@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.scene.scene import Scene
-from app.view import palette
+from app.view import nodes, palette
 from app.view.camera import DIRECTION, FIELD_OF_VIEW, View
 from app.view.fixture import FixtureDrawing
 from app.view.inspector import figures
@@ -50,17 +50,7 @@ class Probe:
         self._fixture.show_triangles = False  # the inspector draws them
         self._fixture.inspected = True
         self._fixture.hide()
-        self._case = api.add_mesh_simple(
-            "/probe/case",
-            vertices=np.zeros((3, 3), dtype=np.float32),
-            faces=np.array([[0, 1, 2]], dtype=np.uint32),
-            color=palette.BONE,
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
+        self._case = nodes.mesh(api, "/probe/case", palette.BONE, flat_shading=True)
         self._case_names = [
             labels.add(f"/probe/{name}", name, anchor="center-center", scale=1.0)
             for name in figures.NAMES.values()
