@@ -112,10 +112,11 @@ class FixtureDrawing(Part):
 
     def hide(self) -> None:
         """Hide everything until the next `draw`."""
-        batches = self._idle_discs, self._active_discs, self._rims, self._normals
-        meshes = *batches, *self._blocking, *self._triangles.values()
-        for node in (self._edges, self._sphere, self._blocks, *meshes):
+        for batch in (self._idle_discs, self._active_discs, self._rims, self._normals):
+            batch.visible = False
+        for node in (self._edges, self._sphere, *self._blocking, *self._triangles.values()):
             node.visible = False
+        self._blocks.visible = False
 
     def _draw_planes(
         self,
