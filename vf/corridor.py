@@ -70,8 +70,8 @@ class CorridorFixture:
         """Never: outside the corridor is not inside an anatomy, and `planes` leads back."""
         return False
 
-    def depth(self, x: FloatArray) -> float:
-        return 0.0
+    def leads_out(self, x: FloatArray, y: FloatArray) -> bool:
+        return True
 
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool

@@ -149,7 +149,7 @@ def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, 
         for j in range(n):
             rows[i, j] = normals[i, 0] * J[0, j] + normals[i, 1] * J[1, j] + normals[i, 2] * J[2, j]
         if rules[i] == 4:
-            bounds[i] = 0.0
+            bounds[i] = min(offsets[i] - height, 0.0)  # as it is: nothing to recover from
             continue
         missing = level + standoff + tip_radius - height
         deficit = max(deficit, missing)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import exact
 import numpy as np
 import pinocchio as pin
@@ -185,3 +187,181 @@ def test_a_tick_on_the_way_out_passes_a_sheet_that_folds_back_only_once(
                 assert len(heights) <= 1, f"{depth} m deep, {aside} m from the root"
                 q = new
             assert q[2] > -1e-8 or aside < gap  # and out it comes
+
+
+# Bodies that overlap, and walls nearer to each other than a tip can tell
+
+
+def wrong(triangles: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
+    """What is wrong with a step from x to y (3,), x strictly on a side. Empty: nothing. Exact."""
+    before, after = exact.winding(triangles, x), exact.winding(triangles, y)
+    met = exact.passages(triangles, x, y)
+    if any(sign == 0 for _, _, sign in met):
+        return "it runs in a wall"
+    points = len({place for _, place, _ in met})
+    if after is None:
+        return "it ends on a wall"
+    if points > 1 or (points == 1 and after != 0):
+        return f"it passes {points} walls from winding number {before} into {after}"
+    return ""
+
+
+@pytest.mark.parametrize("tip", [0.0, 5e-4])
+@pytest.mark.parametrize("period", [1e-3, 5e-3])
+@pytest.mark.parametrize("away", [0.0, 1e-12, 1e-9, 1e-8, 1e-6, 5e-6, 1e-4])
+def test_a_tool_in_one_body_is_not_led_through_the_wall_of_another(
+    away: float, period: float, tip: float
+) -> None:
+    """The nearest wall leads into what both have in common."""
+    surface = together(
+        box((-0.01, -0.01, -0.01), (0.01, 0.01, 0.01)), box((0.0, -0.005, -0.005), (0.02,) * 3)
+    )
+    assert not surface.inside([0.005, 0.0, 0.0])
+    for goal in ([0.005, 0.0, 0.0], [0.03, 2e-3, 1e-3], [-1e-3, 0.0, 0.0], [1e-3, 0.02, 0.0]):
+        start = np.array([-away, 1e-3, 5e-4])
+        end, statuses, crossed = drive(surface, start, goal, 20, tip_radius=tip, dt=period)
+        assert not crossed, goal
+        assert end[0] <= 0.0
+        if away > 1e-11:
+            assert set(statuses) == {vf.Status.INSIDE}
+
+
+@pytest.mark.parametrize("goal", [(-0.03, 0.01, 0.0), (-0.004, 0.012, 0.0), (0.01, 0.03, 0.0)])
+def test_beside_an_overlapping_body_there_is_a_way_out(goal: tuple[float, ...]) -> None:
+    surface = together(
+        box((-0.01, -0.01, -0.01), (0.01, 0.01, 0.01)), box((0.0, -0.02, -0.02), (0.02,) * 3)
+    )
+    end, statuses, crossed = drive(surface, [-1e-4, 9.95e-3, 0.0], goal, 400)
+    assert statuses[0] is vf.Status.INSIDE
+    assert statuses[-1] is not vf.Status.INSIDE
+    assert exact.winding(exact.triangles_of(surface), end) == 0
+    assert all(t < len(BOX_FACES) for t in crossed)
+
+
+def folded(rng: np.random.Generator, gap: float) -> tuple[vf.Surface, list[float]]:
+    """A body under a stack of flaps of its own, some `gap` apart and thick, and their heights."""
+    flaps = int(rng.integers(1, 6))
+    steps = gap * rng.uniform(0.3, 2.0, 2 * flaps)
+    zs = [-5e-3, 0.0, *np.cumsum(steps).tolist()]
+    filled = {(0, 0), (1, 0), (2, 0)}
+    for k in range(1, 2 * flaps + 1):
+        filled |= {(1, k), (2, k)} if k % 2 == 0 else {(1, k)}
+    return cells(filled, [-5e-3, -(10 ** rng.uniform(-7, -4)), 0.0, 5e-3], zs, 4e-3), zs
+
+
+def crossing(rng: np.random.Generator) -> vf.Surface:
+    """Two to four boxes and balls that overlap, one of them inside out now and then."""
+    size = 10 ** rng.uniform(-4, -2)
+    bodies = []
+    for _ in range(rng.integers(2, 5)):
+        if rng.random() < 0.4:
+            half = size * rng.uniform(0.3, 1.0, 3)
+            vertices, faces = box(tuple(-half), tuple(half))
+        else:
+            shape = trimesh.creation.icosphere(int(rng.integers(0, 3)), size)
+            vertices, faces = np.array(shape.vertices) * rng.uniform(0.3, 1.0, 3), shape.faces
+        turn = pin.exp3(rng.normal(size=3)) if rng.random() < 0.6 else STRAIGHT
+        aside = rng.normal(size=3) * size * rng.choice([0.4, 4e-4], p=[0.8, 0.2])
+        bodies.append((vertices @ turn.T + aside, faces[:, ::-1] if rng.random() < 0.15 else faces))
+    return together(*bodies)
+
+
+def attack(
+    name: str, surface: vf.Surface, start: np.ndarray, up: np.ndarray, rng: np.random.Generator
+) -> int:
+    """A few ticks of an arm whose tip starts at `start` in the frame of the mesh, towards anything.
+
+    Returns:
+        How many ticks began inside.
+    """
+    arm = robots.load(name)
+    turn = pin.exp3(rng.normal(size=3)) if rng.random() < 0.5 else STRAIGHT
+    q = np.clip(
+        arm.neutral + 0.06 * rng.uniform(-1, 1, len(arm.lower)) * (arm.upper - arm.lower),
+        arm.lower, arm.upper,
+    )  # fmt: skip
+    placed = (surface.vertices - start) @ turn.T + arm.tip(q).translation
+    surface = vf.Surface.from_arrays(placed, surface.faces)
+    triangles = exact.triangles_of(surface)
+    settings = vf.Settings(
+        tip_radius=rng.choice([0.0, 5e-4, 5e-3]), dt=rng.choice([1e-3, 5e-3, 2e-2]),
+        standoff=rng.choice([1e-6, 2e-5, 1e-3]),
+    )  # fmt: skip
+    controller = vf.Controller(arm, [vf.MeshFixture(surface)], settings)
+    opponent, ahead = rng.integers(4), rng.normal(size=3)
+    began = 0
+    for _ in range(rng.integers(3, 10)):
+        T = arm.tip(q)
+        x = T.translation
+        to_wall = surface.nearest(x)[2] - x
+        wish = (turn @ up, ahead, rng.normal(size=3), to_wall)[opponent]
+        goal = x + 5e-3 * wish / max(float(np.linalg.norm(wish)), 1e-12)
+        step = controller.step(q, pin.SE3(T.rotation, goal))
+        began += step.status is vf.Status.INSIDE
+        if (step.q != q).any() and exact.winding(triangles, x) is not None:
+            why = wrong(triangles, x, step.tip.translation)
+            assert not why, (why, x.tolist(), step.tip.translation.tolist(), settings)
+            places = np.linspace(0.0, 1.0, 5)[:, None]
+            path = [arm.tip(p).translation for p in (1.0 - places) * q + places * step.q]
+            met = [exact.passages(triangles, *ends) for ends in pairwise(path)]
+            assert sum(len({place for _, place, _ in m}) for m in met) <= 1
+        q = step.q
+    return began
+
+
+def attack_folds(arms: list[str], seed: int, cases: int) -> int:
+    rng = np.random.default_rng(seed)
+    began = 0
+    for _ in range(cases):
+        surface, zs = folded(rng, 10 ** rng.uniform(-9, -5))
+        aside = 10 ** rng.uniform(-9, -4) * rng.choice([-1, 1], p=[0.25, 0.75])
+        layer = int(rng.integers(1, len(zs) - 1))
+        low, high = zs[layer], zs[layer + 1]
+        height = -(10 ** rng.uniform(-9, -4.3)) if rng.random() < 0.7 else rng.uniform(low, high)
+        start = np.array([aside, 1e-3 * rng.uniform(-1, 1), height])
+        began += attack(rng.choice(arms), surface, start, np.array([0.0, 0.0, 1.0]), rng)
+    return began
+
+
+def attack_overlaps(arms: list[str], seed: int, cases: int) -> int:
+    rng = np.random.default_rng(seed)
+    began = 0
+    for _ in range(cases):
+        surface = crossing(rng)
+        face = rng.integers(len(surface.faces))
+        point = rng.dirichlet([1, 1, 1]) @ exact.triangles_of(surface)[face]
+        aside = rng.choice([-1, 1]) * 10 ** rng.uniform(-9, -4)
+        start = point + aside * surface.normals[face]
+        began += attack(rng.choice(arms), surface, start, -surface.normals[face], rng)
+    return began
+
+
+@pytest.mark.parametrize("gap", [1e-9, 1e-8, 1.3e-7])
+@pytest.mark.parametrize("depth", [2.2e-9, 5e-9, 9e-9])
+def test_sheets_next_to_the_root_of_a_fold_are_passed_one_at_most(depth: float, gap: float) -> None:
+    """The first of three walls is as far from the tip as the root that they hang together by."""
+    flap = {(0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2)}
+    surface = cells(flap, [-5e-3, -1e-6, 0.0, 5e-3], [-5e-3, 0.0, gap, 2.0 * gap], 4e-3)
+    triangles = exact.triangles_of(surface)
+    for aside in (1e-9, 3.2e-9, 1e-6):
+        _, _, crossed = drive(surface, [aside, 1e-3, -depth], [aside, 1e-3, 5e-3], 10)
+        heights = {t[0, 2] for t in triangles[crossed] if np.ptp(t[:, 2]) == 0.0}
+        assert heights <= {0.0}, aside
+
+
+ARMS = ["psm", "panda", "ur5"]
+
+
+def test_a_tick_passes_one_of_many_sheets_of_a_fold() -> None:
+    assert attack_folds(["point"], 1, 20) > 40
+
+
+def test_a_tick_passes_no_wall_that_does_not_lead_out_of_all_bodies() -> None:
+    assert attack_overlaps(["point"], 0, 20) > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_no_arm_passes_what_does_not_lead_out(seed: int) -> None:
+    assert attack_folds(ARMS, 10 + seed, 100) > 150
+    assert attack_overlaps(ARMS, 20 + seed, 100) > 80
