@@ -47,10 +47,10 @@ def _pointer(kind: Any) -> Any:
 
     def pointer(_context: Any, address: Any) -> Any:
         def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            llvm = _context.get_value_type(types.CPointer(kind))
+            llvm = _context.get_value_type(types.CPointer(kind))  # type: ignore[attr-defined]
             return builder.inttoptr(arguments[0], llvm)
 
-        return types.CPointer(kind)(types.int64), code
+        return types.CPointer(kind)(types.int64), code  # type: ignore[attr-defined]
 
     pointer.__name__ = f"pointer_to_{kind}"
     return intrinsic(pointer)
