@@ -46,9 +46,7 @@ class ClientInput:
             1, "input", initializer=prefer_this_thread, initargs=(VIEW_PRIORITY,)
         )
         self._owner: int | None = None  # written by the worker only
-        self._shown: pin.SE3 | None = (
-            session.handle
-        )  # pose of the gizmo on the pages; None: unknown
+        self._shown: pin.SE3 | None = session.handle  # of the gizmo on the pages; None: unknown
         self._refusal_shown = False
         self.moved = threading.Event()
 

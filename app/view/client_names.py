@@ -66,7 +66,6 @@ class ClientLines(Part):
         return "" if shown is None else str(shown.content)
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Update the lines that changed."""
         owner = self._owner()
         for gone in self._lines.keys() - clients.keys():
             del self._lines[gone]

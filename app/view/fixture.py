@@ -84,14 +84,10 @@ class FixtureDrawing(Part):
         """The inspector draws the triangles: draw none, and paler discs."""
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Draw the tick's planes."""
-        if shown.telemetry.step is not None:
-            self.update(shown.telemetry.step, shown.scene.surface)
-
-    def update(self, step: vf.Step, surface: vf.Surface) -> None:
-        """Draw the planes of one step."""
-        p_tip = np.asarray(step.tip.translation)
-        self.draw(p_tip, step.radius, step.planes, step.multipliers, surface)
+        step = shown.telemetry.step
+        if step is not None:
+            p_tip = np.asarray(step.tip.translation)
+            self.draw(p_tip, step.radius, step.planes, step.multipliers, shown.scene.surface)
 
     def draw(
         self,

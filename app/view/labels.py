@@ -148,7 +148,6 @@ class Labels(Part):
         return self._labels[name]
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Place the labels, after all other parts have set theirs."""
         self.place(clients)
 
     def place(self, clients: Mapping[int, viser.ClientHandle]) -> None:

@@ -139,7 +139,6 @@ class MeshTab(Part):
         self._show_report()
 
     def read_out(self, shown: Moment) -> None:
-        """Update the list of files and the buttons."""
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):
             value = self._files.value if self._files.value in names else names[0]

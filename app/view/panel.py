@@ -85,7 +85,6 @@ class Panel(Part):
         self.sync()
 
     def read_out(self, shown: Moment) -> None:
-        """Update the controls."""
         self.sync()
 
     def sync(self) -> None:

@@ -84,11 +84,9 @@ class RecordTab(Part):
         self._refresh()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Restore the cameras after a replay."""
         self._replaying.frame()
 
     def read_out(self, shown: Moment) -> None:
-        """Update all controls, those of the replay included."""
         tape = self._session.tape
         going = tape is not None and tape.running
         # Only this thread writes the controls.

@@ -249,9 +249,8 @@ def test_scale_bars_that_are_switched_off_stay_off_in_another_scene() -> None:
     shown = lambda: [*(bar.visible for bar in bars[-2:]), page["/ruler/site/label"].visible]  # noqa: E731
     rulers.set_scene(built)
     assert shown() == [True, True, True]
-    assert (
-        page["/ruler/site/label"].text == "5 mm"
-    )  # at most 0.3 of a quarter of the diagonal, 69 mm
+    # At most 0.3 of half the view's height, a quarter of the cube's diagonal of 69 mm.
+    assert page["/ruler/site/label"].text == "5 mm"
     rulers.show(False)
     rulers.set_scene(built)
     assert shown() == [False, False, False]
