@@ -20,9 +20,7 @@ FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
 MAX_PLANES = 128  # drawn; rule "all" can make a thousand
-MAX_DISCS = (
-    12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
-)
+MAX_DISCS = 12  # only the nearest planes have a disc and an arrow, the others a rim
 # Opacity of the discs, and while the inspector draws below them.
 IDLE_OPACITY = (0.3, 0.1)
 ACTIVE_OPACITY = (0.65, 0.3)

@@ -85,13 +85,13 @@ class Camera(NamedTuple):
     """A pinhole camera.
 
     Attributes:
-        place: its position (3,), scene units.
+        position: (3,), scene units.
         R: its axes as columns (3, 3): right, down, forward.
         fov: vertical field of view [rad].
         width, height: of the picture [px].
     """
 
-    place: FloatArray
+    position: FloatArray
     R: FloatArray
     fov: float
     width: float
@@ -216,7 +216,7 @@ class _ClientLabels:
 
     def show(self, labels: Texts, eye: Camera) -> None:
         """Place labels for a camera and draw those with room."""
-        now = (labels, eye.place.tobytes(), eye.R.tobytes(), *eye[2:])
+        now = (labels, eye.position.tobytes(), eye.R.tobytes(), *eye[2:])
         if now == self._last:
             return
         self._last = now
@@ -292,7 +292,7 @@ def project(points: FloatArray, eye: Camera) -> tuple[FloatArray, NDArray[np.boo
 
     The pixels of the other points are meaningless.
     """
-    right, down, forward = ((points - eye.place) @ eye.R).T
+    right, down, forward = ((points - eye.position) @ eye.R).T
     in_front = forward > NEAR_PLANE
     focal = 0.5 * eye.height / np.tan(0.5 * eye.fov)
     scale = focal / np.where(in_front, forward, 1.0)
