@@ -66,11 +66,6 @@ class ClientInput:
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     @property
-    def dragging(self) -> bool:
-        """Whether a client drags the gizmo."""
-        return self._owner is not None
-
-    @property
     def owner(self) -> int | None:
         """Number of the client that drags the gizmo, or None."""
         return self._owner

@@ -71,11 +71,11 @@ class ClientLines(Part):
             del self._lines[gone]
         for client_id, client in clients.items():
             text = line(client_id, owner, len(clients))
-            told = self._lines.get(client_id)
+            shown_line = self._lines.get(client_id)
             # The client may disconnect meanwhile; the next frame drops its line.
             with contextlib.suppress(Exception):
-                if told is None:
+                if shown_line is None:
                     if text:
                         self._lines[client_id] = client.gui.add_html(text, order=self._order)
-                elif told.content != text:
-                    told.content = text
+                elif shown_line.content != text:
+                    shown_line.content = text

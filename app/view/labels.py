@@ -171,15 +171,15 @@ class Labels(Part):
         They are placed for the camera of new clients; the clients' own labels do not change.
         """
         camera = self._server.initial_camera
-        place = np.asarray(camera.position, dtype=np.float64)
-        axes = _look_at(place, camera.look_at)
-        eye = Camera(place, axes, float(camera.fov), *PICTURE)
-        sight = _ClientLabels(self._server.scene, self._labels)
+        position = np.asarray(camera.position, dtype=np.float64)
+        axes = _look_at(position, camera.look_at)
+        eye = Camera(position, axes, float(camera.fov), *PICTURE)
+        shared = _ClientLabels(self._server.scene, self._labels)
         try:
-            sight.show(self._wanted(), eye)
+            shared.show(self._wanted(), eye)
             yield
         finally:
-            sight.remove()
+            shared.remove()
 
     def _wanted(self) -> Texts:
         """The visible labels, most important first."""
@@ -203,6 +203,7 @@ class _ClientLabels:
 
     def __post_init__(self) -> None:
         self._last: tuple[object, ...] = ()
+        # All at once: a client's node hides the shared one of that name, which `in_scene` makes.
         self._nodes = {
             name: self.api.add_label(
                 _node(name),

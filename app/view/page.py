@@ -214,7 +214,7 @@ class Page:
     @property
     def dragging(self) -> bool:
         """Whether a client drags the gizmo."""
-        return self._input.dragging
+        return self._input.owner is not None
 
     def client_line(self, client_id: int) -> str:
         """HTML line about who drags the proxy, on one client's panel."""

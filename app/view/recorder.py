@@ -127,13 +127,13 @@ class RecordTab(Part):
         doing = f"Opening {path.name}"
         self._set_progress(f"{doing} …")
 
-        def say(text: str) -> None:
+        def progress(text: str) -> None:
             self._set_progress(f"{doing}: {text} …")
 
         with self._session.work.begin() as stop:
             self._opening = True
             try:
-                self._replaying.show(path.stem, read(path), say, stop)
+                self._replaying.show(path.stem, read(path), progress, stop)
             finally:
                 self._opening = False
 
