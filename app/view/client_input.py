@@ -92,8 +92,9 @@ class ClientInput:
             return
         handle = target if autopilot and target is not None else self._session.handle
         if self._shown is None or not same_pose(handle, self._shown):
-            self._proxy.place(handle)
+            # In this order: whoever moves the gizmo meanwhile, and lets go, has it put back again.
             self._shown = handle
+            self._proxy.place(handle)
 
     def release(self) -> None:
         """End the drag, if there is one."""
