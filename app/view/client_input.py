@@ -92,7 +92,7 @@ class ClientInput:
             return
         handle = target if autopilot and target is not None else self._session.handle
         if self._shown is None or not same_pose(handle, self._shown):
-            # In this order: whoever moves the gizmo meanwhile, and lets go, has it put back again.
+            # In this order: a drag that ends meanwhile sets `_shown` to None, which must persist.
             self._shown = handle
             self._proxy.place(handle)
 

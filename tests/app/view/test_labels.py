@@ -16,7 +16,7 @@ from PIL import ImageFont
 
 from app.scene import scene as scenes
 from app.settings import Options
-from app.view import labels, ruler
+from app.view import labels
 from app.view.labels import Camera, Candidate, Labels, arrange, box, choices, size
 from app.view.ruler import Rulers
 
@@ -238,10 +238,7 @@ def test_every_label_has_one_rank_of_importance() -> None:
     assert len(set(labels.IMPORTANCE)) == len(labels.IMPORTANCE)
 
 
-def test_scale_bars_that_are_switched_off_stay_off_in_another_scene(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(ruler, "site_half_height", lambda _scene: 0.01)
+def test_scale_bars_that_are_switched_off_stay_off_in_another_scene() -> None:
     page, bars = Labels(SimpleNamespace()), []
 
     def line(*_: object, **more: Any) -> SimpleNamespace:

@@ -348,7 +348,7 @@ def test_the_page_calls_every_part() -> None:
             page.close()
 
 
-def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
+def test_opening_a_replay_can_be_stopped_and_the_session_ticks_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "folder", lambda: tmp_path)
@@ -358,7 +358,7 @@ def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
         wait_until(lambda: tape.rows > 20)
         session.stop_recording()
         session.change(mesh="stairs")
-        # As for a mesh that takes its time: in a process of its own.
+        # Built in another process, as for a large mesh.
         monkeypatch.setattr(worker, "light", lambda _mesh: False)
         page = Page(session, "127.0.0.1", 0)
         try:
@@ -366,7 +366,7 @@ def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
 
             def open_it() -> threading.Thread:
                 thread = threading.Thread(
-                    target=tab._try, args=(client, lambda: tab._start(client))
+                    target=tab._run, args=(client, lambda: tab._start(client))
                 )
                 thread.start()
                 wait_until(lambda: tab._opening or not thread.is_alive())
@@ -398,7 +398,7 @@ def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
             page.close()
 
 
-def test_a_gizmo_that_is_moved_while_it_is_put_somewhere_is_put_back() -> None:
+def test_a_gizmo_that_is_dragged_while_it_is_placed_is_placed_again() -> None:
     proxy, handle = MagicMock(), pin.SE3.Identity()
     entry = ClientInput(
         SimpleNamespace(handle=handle),  # type: ignore[arg-type]
@@ -420,6 +420,6 @@ def test_a_gizmo_that_is_moved_while_it_is_put_somewhere_is_put_back() -> None:
         entry.update(None, False)
         assert proxy.place.call_count == 2
         entry.update(None, False)
-        assert proxy.place.call_count == 2, "it is there: nothing is sent"
+        assert proxy.place.call_count == 2, "nothing is sent for an unchanged pose"
     finally:
         entry.close()
