@@ -18,7 +18,6 @@ import trimesh
 import vf
 from app.control.messages import LoopStats, Telemetry
 from app.recording.playback import Moment
-from app.recording.rerun import run_headless
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
@@ -26,6 +25,7 @@ from app.view import Page, camera, help, keys, palette, signals, trail, who
 from app.view.depth import signed_distance
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
+from tests.support.runs import run_headless
 
 
 def looking(eye: list[float], at: list[float]) -> np.ndarray:
