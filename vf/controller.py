@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from vf import problem
 from vf.corridor import CorridorFixture
 from vf.cover import BUDGET, YIELD, Buffer
-from vf.fixtures import ON_SURFACE, RULES, Filling, Fixture, MeshFixture
+from vf.fixtures import RULES, Filling, Fixture, MeshFixture
 from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes
 from vf.problem import JOINT_RANGE
@@ -313,6 +313,8 @@ class Controller:
             # What `Surface.nearest` goes on with in the middle of a large ball, hardly elsewhere.
             tree = surface.tree
             nearest_face_freely(tree.nodes, tree.corners, T.translation.copy(), inf, -1)
+            # And what only a step out of a body asks.
+            MeshFixture(surface).leads_out(T.translation, T.translation + 0.01)
             for rule in RULES:
                 fixture = MeshFixture(surface, rule)
                 controller = Controller(self.arm, [fixture], self.settings)
@@ -603,17 +605,12 @@ class Controller:
 
     def _no_deeper(self, T_new: pin.SE3, x: FloatArray, inside: tuple[bool, ...]) -> bool:
         """What planes cannot say of a tip that starts inside of something."""
-        if True not in inside:
-            return True
         y = T_new.translation
-        for fixture, within in zip(self.fixtures, inside, strict=True):
-            # Outside, or at least no deeper (the plane alone would allow a detour), and not on the
-            # surface, where no plane can tell the sides apart.
-            if within:
-                depth = fixture.depth(y)
-                if depth < ON_SURFACE or (fixture.inside(y) and depth > fixture.depth(x)):
-                    return False
-        return True
+        return all(
+            fixture.leads_out(x, y)
+            for fixture, within in zip(self.fixtures, inside, strict=True)
+            if within
+        )
 
     def _refused(self, q: FloatArray, started: float, T: pin.SE3 | None = None) -> Step:
         if T is not None:

@@ -14,7 +14,7 @@ from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length
 BUDGET = 32  # planes at most; a buffer has room for more
 FAR = 1.0  # the walls go on straight by this much before and after the path [m]
 STRAIGHT = 1e-9  # a point this near to the straight line of its neighbours is no bend [m]
-HAIR = 1e-12  # on a wall within rounding [m]
+ON_WALL = 1e-12  # on a wall within rounding [m]
 # How far a tool outside is led back in a tick [m]: 10 mm/s at 1 kHz.
 LED_BACK = 1e-5
 CORRIDOR = int(Rule.CORRIDOR)
@@ -70,8 +70,8 @@ class CorridorFixture:
         """Never: outside the corridor is not inside an anatomy, and `planes` leads back."""
         return False
 
-    def depth(self, x: FloatArray) -> float:
-        return 0.0
+    def leads_out(self, x: FloatArray, y: FloatArray) -> bool:
+        return True
 
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
@@ -277,9 +277,12 @@ def _meeting(starts, ends, sides):  # type: ignore[no-untyped-def]
                 continue
             apart = False
             for k in range(2):
-                apart |= max(starts[i, k], ends[i, k]) < min(starts[j, k], ends[j, k]) - HAIR
-                apart |= max(starts[j, k], ends[j, k]) < min(starts[i, k], ends[i, k]) - HAIR
-            if not apart and _distance2(starts[i], ends[i], starts[j], ends[j]) <= HAIR * HAIR:
+                apart |= max(starts[i, k], ends[i, k]) < min(starts[j, k], ends[j, k]) - ON_WALL
+                apart |= max(starts[j, k], ends[j, k]) < min(starts[i, k], ends[i, k]) - ON_WALL
+            if (
+                not apart
+                and _distance2(starts[i], ends[i], starts[j], ends[j]) <= ON_WALL * ON_WALL
+            ):
                 return i, j
     return -1, -1
 
@@ -379,8 +382,8 @@ def _planes(  # type: ignore[no-untyped-def]
     m = 0
     valid = radius
     room, px, py, nx, ny = _room(starts, ends, normals, sides, x, y)
-    if room < HAIR:
-        if room < -HAIR:
+    if room < ON_WALL:
+        if room < -ON_WALL:
             nx, ny = (px - x) / -room, (py - y) / -room
         flat[0, 0], flat[0, 1] = nx, ny
         offsets[0] = nx * x + ny * y
@@ -441,14 +444,14 @@ def _planes(  # type: ignore[no-untyped-def]
                 base = max(nx * rx + ny * ry, nx * sx + ny * sy)
                 space = nx * x + ny * y - base - tip_radius
             # The tip overlaps the wall where there is no space: the claim is then about its centre.
-            clear = space if space > HAIR else space + tip_radius
+            clear = space if space > ON_WALL else space + tip_radius
             stand = nx * x + ny * y - min(YIELD, YIELD_SHARE * max(clear, 0.0))
             kept = standoff
-            if space < standoff and room - tip_radius > HAIR:
+            if space < standoff and room - tip_radius > ON_WALL:
                 kept = min(room - tip_radius, standoff)  # to the middle, as in `vf.cover`
-            offsets[m] = min(base + tip_radius + max(kept, HAIR), stand)
+            offsets[m] = min(base + tip_radius + max(kept, ON_WALL), stand)
             limits[m] = base + 1e-14
-            floors[m] = limits[m] + (tip_radius if space > HAIR else 0.0)
+            floors[m] = limits[m] + (tip_radius if space > ON_WALL else 0.0)
             flat[m, 0], flat[m, 1] = nx, ny
             feet[m, 0], feet[m, 1] = cx, cy
             m += 1

@@ -19,13 +19,16 @@ grow, so what is behind a plane when it is met never needs another look.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vf.closest import closest_on_triangle, distance_error
 from vf.kernels import njit
 from vf.pdtree import (
     EXACT,
+    Tree,
     box_distance2,
     children_of,
     triangle_at,
@@ -100,6 +103,15 @@ def cover(
     return planes.cut(*planes.fill(surface, x, radius, standoff, tip_radius))
 
 
+class Triangles(Protocol):
+    """What the walk looks at of a `Surface`, or of a part of one."""
+
+    @property
+    def tree(self) -> Tree: ...
+    @property
+    def edges(self) -> NDArray[np.int8]: ...
+
+
 class Buffer:
     """Room for the planes of one tick, to be filled again and again. Not thread-safe."""
 
@@ -124,7 +136,7 @@ class Buffer:
 
     def fill(
         self,
-        surface: Surface,
+        surface: Triangles,
         x: FloatArray,
         radius: float,
         standoff: float,

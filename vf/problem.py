@@ -12,12 +12,12 @@ from vf.kernels import njit
 from vf.qp_kernels import attempt, carve
 
 # Reject targets farther than this from the base [m].
-FARTHEST = 10.0
+FARTHEST_TARGET = 10.0
 # Reject joint positions beyond this [rad or m]: hundreds of turns, and rounding grows with them.
 JOINT_RANGE = 1e4
 # Rows are tightened by this against the planes that are verified, ten times OSQP's tolerance, so
 # that a tick in contact does not miss by rounding [m].
-HAIR = 1e-6
+TIGHTENING = 1e-6
 # Share of what is missing to the standoff that a tick wins back.
 RECOVERY = 0.5
 SWEEPS = 16
@@ -27,7 +27,7 @@ SWEEPS = 16
 def usable(p, R):  # type: ignore[no-untyped-def]
     """Whether p (3,) is near enough and R (3, 3) a rotation: finite, orthonormal, right-handed."""
     for k in range(3):
-        if not abs(p[k]) < FARTHEST:
+        if not abs(p[k]) < FARTHEST_TARGET:
             return False
     for i in range(3):
         for j in range(3):
@@ -149,15 +149,15 @@ def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, 
         for j in range(n):
             rows[i, j] = normals[i, 0] * J[0, j] + normals[i, 1] * J[1, j] + normals[i, 2] * J[2, j]
         if rules[i] == 4:
-            bounds[i] = 0.0
+            bounds[i] = min(offsets[i] - height, 0.0)  # as it is: nothing to recover from
             continue
         missing = level + standoff + tip_radius - height
         deficit = max(deficit, missing)
         # A plane moved beyond the standoff is obeyed, but being on it is nothing to recover from.
-        missing = max(missing, min(offsets[i] - height, 0.0)) + HAIR
+        missing = max(missing, min(offsets[i] - height, 0.0)) + TIGHTENING
         bounds[i] = RECOVERY * missing if missing > 0.0 else missing
     nearest = np.sqrt(nearest)
-    if deficit + HAIR <= 0.0:
+    if deficit + TIGHTENING <= 0.0:
         return nearest, deficit
     v0 = v1 = v2 = 0.0
     for _ in range(SWEEPS):

@@ -5,8 +5,10 @@ Types and sizes are checked by msgspec while decoding, other conditions here.
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import msgspec
 import numpy as np
@@ -39,16 +41,17 @@ COURSE_LONGEST = LONGEST  # [s]
 T = TypeVar("T")
 Count = Annotated[int, Meta(ge=0, le=(1 << 62) - 1)]
 Size = Annotated[int, Meta(ge=1, le=1 << 40)]
-Joints = Annotated[list[float], Meta(min_length=1, max_length=JOINTS)]
-Row = tuple[float, float, float]
-PoseRow = tuple[float, float, float, float]
+Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+Joints = Annotated[list[Finite], Meta(min_length=1, max_length=JOINTS)]
+Row = tuple[Finite, Finite, Finite]
+PoseRow = tuple[Finite, Finite, Finite, Finite]
 
 
 class CourseEntry(Struct):
     """A scenario's script."""
 
     rotation: tuple[Row, Row, Row]
-    times: Annotated[list[float], Meta(min_length=1, max_length=MAX_WAYPOINTS)]
+    times: Annotated[list[Finite], Meta(min_length=1, max_length=MAX_WAYPOINTS)]
     points: list[Row]
 
 
@@ -119,10 +122,13 @@ class _Version(Struct):
 
 
 def read(data: bytes, kind: type[T], name: str) -> T:
-    """An entry from its JSON; `name` is used in errors."""
+    """An entry from its JSON; `name` is used in errors.
+
+    Decoded by `json`, as msgspec's decoder refuses file names that are not UTF-8.
+    """
     try:
-        return msgspec.json.decode(data, type=kind)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        return msgspec.convert(json.loads(data, parse_constant=_no_constant), kind)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise RecordingError(f"{name} is damaged: {str(error)[:120]}") from None
 
 
@@ -219,3 +225,8 @@ def _course(entry: CourseEntry) -> Course:
     if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
         raise RecordingError("the times of a course in the header do not rise from 0")
     return Course(rotation, times, points)
+
+
+def _no_constant(word: str) -> NoReturn:
+    """JSON has neither infinities nor NaN."""
+    raise ValueError(f"{word} is no number")

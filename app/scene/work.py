@@ -23,12 +23,18 @@ class Work:
         return self._lock.locked()
 
     @contextlib.contextmanager
-    def begin(self) -> Iterator[Stop]:
+    def begin(self, within: Stop | None = None) -> Iterator[Stop]:
         """Do one for as long as the context lasts; gives what `stop` calls.
+
+        Args:
+            within: what the work under way was given, of which this is a part.
 
         Raises:
             Refused: another one is under way.
         """
+        if within is not None:
+            yield within
+            return
         if not self._lock.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
         try:

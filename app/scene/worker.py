@@ -42,6 +42,7 @@ from robots import Arm
 
 LIGHT = 500_000  # [byte] of a file that is read and indexed in milliseconds
 _LIGHT_KINDS = (".stl", ".ply", ".off")  # that cannot be larger than they look
+_STOPPED = "stopped: nothing is changed"
 _PIPE = 1 << 20  # [byte]
 _LENGTH = 8  # [byte] of a number in the stream
 _PATIENCE = 10.0  # of the processor's time: for a busy machine, and for what waits for ever
@@ -137,9 +138,12 @@ def aside(
     Raises:
         ValueError: what the work raises, `Ended` and `Stopped`.
     """
-    if light(mesh):
-        return work(progress=progress)
-    scene: Scene = run(work, allowance(mesh), progress, stop, arm)
+    if not light(mesh):
+        scene: Scene = run(work, allowance(mesh), progress, stop, arm)
+        return scene
+    scene = work(progress=progress)
+    if stop is not None and stop.asked:
+        raise Stopped(_STOPPED)
     return scene
 
 
@@ -200,7 +204,7 @@ def run(
         late.forget()
         code = process.wait()
         if stop.asked:
-            raise Stopped("stopped: nothing is changed") from None
+            raise Stopped(_STOPPED) from None
         raise Ended(_reason(code, allowed, late.asked)) from None
     finally:
         timer.cancel()

@@ -96,8 +96,9 @@ class Hand:
             return
         handle = target if autopilot and target is not None else self._session.handle
         if self._shown is None or not same_pose(handle, self._shown):
-            self._proxy.place(handle)
+            # In this order: whoever moves the gizmo meanwhile, and lets go, has it put back again.
             self._shown = handle
+            self._proxy.place(handle)
 
     def let_go(self) -> None:
         """Whoever drags the gizmo has it no longer."""

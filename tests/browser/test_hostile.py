@@ -174,6 +174,10 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
         control = next(c for c in controls.values() if getattr(c, "label", None) == label)
         send(attacker, "GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
 
+    # The recording is in the list while it is still being made; the button says when it is over.
+    wait_until(
+        lambda: any(getattr(c, "label", None) == "Record" for c in controls.values()), "Record"
+    )
     listed = next(c for c in controls.values() if getattr(c, "label", None) == "Recording")
     wait_until(lambda: listed.value == tape.path.name, "it to be in the list")
     wxyz, position = page.gizmo_pose

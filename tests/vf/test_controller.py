@@ -605,7 +605,7 @@ class Aloof:
 
     def __init__(self, fixture):
         self.radius, self.certified = fixture.radius, fixture.certified
-        self.planes, self.inside, self.depth = fixture.planes, fixture.inside, fixture.depth
+        self.planes, self.inside, self.leads_out = fixture.planes, fixture.inside, fixture.leads_out
 
 
 @pytest.mark.parametrize("aloof", [(True, True), (True, False), (False, True)])
@@ -656,7 +656,7 @@ import robots, vf
 class Floor:  # a fixture of somebody's own, that only has planes
     radius, certified = None, True
     def inside(self, x): return False
-    def depth(self, x): return 0.0
+    def leads_out(self, x, y): return True
     def planes(self, x, radius, standoff, tip_radius, inside): return vf.Planes.none(radius)
 
 def kernels():

@@ -112,7 +112,7 @@ def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
         case Cover.BEHIND_SEVERAL:
             return "Needs none: its part in the sphere is behind the planes taken together."
     if explanation.inside:
-        return "Not asked: the tool is inside, so there is one plane only, towards the way out."
+        return "Not asked: the tool is inside, so the planes only lead towards the way out."
     return "Not judged: outside the sphere in which the planes are valid."
 
 

@@ -16,7 +16,7 @@ from PIL import ImageFont
 
 from app.scene import scene as scenes
 from app.settings import Options
-from app.view import labels
+from app.view import labels, ruler
 from app.view.labels import Eye, Labels, Wanted, arrange, box, choices, size
 from app.view.ruler import Rulers
 
@@ -237,7 +237,10 @@ def test_every_label_has_its_place_in_the_order() -> None:
     assert len(set(labels.IMPORTANCE)) == len(labels.IMPORTANCE)
 
 
-def test_scale_bars_that_are_switched_off_stay_off_in_another_scene() -> None:
+def test_scale_bars_that_are_switched_off_stay_off_in_another_scene(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ruler, "site_half_height", lambda _scene: 0.01)
     page, bars = Labels(SimpleNamespace()), []
 
     def line(*_: object, **more: Any) -> SimpleNamespace:
@@ -247,9 +250,9 @@ def test_scale_bars_that_are_switched_off_stay_off_in_another_scene() -> None:
     rulers = Rulers(SimpleNamespace(add_line_segments=line), page)
     built = scenes.build(Options(mesh="cube", robot="point"), 1)
     shown = lambda: [*(bar.visible for bar in bars[-2:]), page["/ruler/site/label"].visible]  # noqa: E731
-    rulers.set_scene(built, 0.01)
+    rulers.set_scene(built)
     assert shown() == [True, True, True]
     assert page["/ruler/site/label"].text == "2 mm"  # the longest within 0.3 of 1 cm
     rulers.show(False)
-    rulers.set_scene(built, 0.01)
+    rulers.set_scene(built)
     assert shown() == [False, False, False]

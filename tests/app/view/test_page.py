@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import itertools
 import re
+import threading
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
@@ -18,13 +20,17 @@ import trimesh
 import vf
 from app.control.messages import LoopStats, Telemetry
 from app.recording.playback import Moment
+from app.refused import Refused
+from app.scene import worker
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, help, keys, palette, signals, trail, who
+from app.view import Page, camera, help, keys, palette, recorder, signals, trail, who
 from app.view.depth import signed_distance
+from app.view.hand import Hand
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
+from tests.support.headless import wait_until
 from tests.support.runs import run_headless
 
 
@@ -340,3 +346,80 @@ def test_the_page_calls_every_part_there_is_and_nothing_else() -> None:
             assert heard == ["scene stairs", "frame stairs", "frame stairs", "read-out"]
         finally:
             page.close()
+
+
+def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "folder", lambda: tmp_path)
+    client: Any = SimpleNamespace(client_id=-1)
+    with Session(Options(mesh="cube", robot="point")) as session:
+        tape = session.record(tmp_path / "run.vfrec")
+        wait_until(lambda: tape.rows > 20)
+        session.stop_recording()
+        session.change(mesh="stairs")
+        # As for a mesh that takes its time: in a process of its own.
+        monkeypatch.setattr(worker, "light", lambda _mesh: False)
+        page = Page(session, "127.0.0.1", 0)
+        try:
+            (tab,) = (part for part in page._parts if isinstance(part, recorder.RecordTab))
+
+            def open_it() -> threading.Thread:
+                thread = threading.Thread(
+                    target=tab._try, args=(client, lambda: tab._start(client))
+                )
+                thread.start()
+                wait_until(lambda: tab._opening or not thread.is_alive())
+                return thread
+
+            opening = open_it()
+            page._read_out()
+            assert tab._open.label == "Stop opening"
+            tick = session.latest().tick
+            wait_until(lambda: session.latest().tick > tick + 100)
+            with pytest.raises(Refused, match="another change is under way"):
+                session.change(mesh="gear")
+            assert session.work.going
+            session.work.stop()
+            opening.join(20.0)
+            page._read_out()
+            assert tab._open.label == "Replay"
+            assert not session.suspended
+            assert page.shown.scene.mesh_name == "stairs"
+
+            open_it().join(60.0)
+            page._frame()
+            assert session.suspended
+            assert page.shown.scene.mesh_name == "cube"
+            assert page.shown.handle is None
+            tab._replaying.leave()
+            assert not session.suspended
+        finally:
+            page.close()
+
+
+def test_a_gizmo_that_is_moved_while_it_is_put_somewhere_is_put_back() -> None:
+    proxy, handle = MagicMock(), pin.SE3.Identity()
+    hand = Hand(
+        SimpleNamespace(handle=handle),  # type: ignore[arg-type]
+        SimpleNamespace(get_clients=dict),  # type: ignore[arg-type]
+        proxy,
+        lambda _client, _text: None,
+    )
+    try:
+        hand.let_go()
+        wait_until(lambda: hand._shown is None)
+
+        def moved_meanwhile(_handle: pin.SE3) -> None:
+            hand.let_go()
+            wait_until(lambda: hand._worker._work_queue.empty() and hand._shown is None)
+
+        proxy.place.side_effect = moved_meanwhile
+        hand.tend(None, False)
+        proxy.place.side_effect = None
+        hand.tend(None, False)
+        assert proxy.place.call_count == 2
+        hand.tend(None, False)
+        assert proxy.place.call_count == 2, "it is there: nothing is sent"
+    finally:
+        hand.close()
