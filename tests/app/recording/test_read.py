@@ -43,7 +43,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         del members["orders/clutch.npy"]
 
-    @case("surplus", "do not belong")
+    @case("surplus", "does not have")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         members["../../evil"] = b"x"
 
