@@ -72,7 +72,7 @@ def distances(surface: vf.Surface, triangles: NDArray[np.int64], x: FloatArray) 
     return np.asarray(_distances(surface.vertices, surface.faces, triangles, x))
 
 
-def aside(path: FloatArray, direction: FloatArray, p: FloatArray) -> float:
+def lateral_distance(path: FloatArray, direction: FloatArray, p: FloatArray) -> float:
     """Distance [m] of p (3,) from a path (k, 3), both projected along a unit direction (3,).
 
     The path is extended straight at both ends.

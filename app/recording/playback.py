@@ -85,7 +85,7 @@ def build_scenes(
         else:
             work = functools.partial(rerun.build, place, version + k, warm=False)
             arm = robots.load(place.options.robot)
-            built.append(worker.aside(work, place.options.mesh, arm, progress, stop))
+            built.append(worker.build_scene(work, place.options.mesh, arm, progress, stop))
     return tuple(built)
 
 

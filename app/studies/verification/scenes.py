@@ -109,12 +109,12 @@ class Surroundings:
         is far from one leg of the path is near to the next.
         """
         if not self.tip_radius:
-            return oracles.aside(self._path, self._down, p)
+            return oracles.lateral_distance(self._path, self._down, p)
         _, _, across = np.linalg.svd(self._down[None, :])
         turns = np.linspace(0.0, 2.0 * np.pi, RIM, endpoint=False)
         rim = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ across[1:]
         ways = p + self.tip_radius * rim
-        return max(oracles.aside(self._path, self._down, way) for way in ways)
+        return max(oracles.lateral_distance(self._path, self._down, way) for way in ways)
 
 
 def _pins(x: FloatArray, tip_radius: float, rng: np.random.Generator) -> vf.Surface:
