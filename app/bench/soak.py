@@ -87,7 +87,7 @@ def _sample(at: float, page: Page) -> dict[str, Any]:
         "at [s]": at,
         "memory [MB]": resident() or float("nan"),
         "threads": threading.active_count(),
-        **guard.census(page.server),
+        **guard.resource_counts(page.server),
     }
 
 

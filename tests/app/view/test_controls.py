@@ -1,4 +1,4 @@
-"""Keys, Escape, number fields, lenses, the section and the page's script, without a browser."""
+"""Keys, the Escape key, number fields, lenses, the section and the script of the page."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from app.scene.outside import shows_fronts_only
 from app.session import Session
 from app.settings import Options
 from app.view import Page, camera, fields, section
-from app.view.escape import Escape
+from app.view.escape import EscapeKey
 from app.view.help import Help
-from app.view.keys import STEPS, Keys, seen_from
+from app.view.keys import STEPS, Keys, viewer_axes
 from app.view.script import adding, script
 from app.view.units import VIEW_SCALE
 from app.view.views import Views
@@ -77,7 +77,7 @@ class Gui:
         return found
 
 
-class Hand:
+class ClientInput:
     """Does at once what it is given."""
 
     owner = None
@@ -97,8 +97,8 @@ def client(number: int = 0) -> Any:
         look_at=np.zeros(3),
         up_direction=np.array([0.0, 0.0, 1.0]),
         fov=camera.FIELD_OF_VIEW,
-        near=camera.NEAREST,
-        far=camera.FARTHEST_DRAWN,
+        near=camera.NEAR_PLANE,
+        far=camera.FAR_PLANE,
     )
     return SimpleNamespace(client_id=number, camera=eye, atomic=lambda: Handle(), gui=Gui())
 
@@ -112,21 +112,21 @@ def session() -> Iterator[Session]:
 @pytest.fixture
 def panel(session: Session) -> SimpleNamespace:
     """All that has a key, on a panel without a browser; what was asked of the picture, and told."""
-    gui, hand = Gui(), Hand()
+    gui, client_input = Gui(), ClientInput()
     looked: list[str] = []
     told: list[str] = []
-    tell = lambda _client, text: told.append(text)  # noqa: E731
+    notify = lambda _client, text: told.append(text)  # noqa: E731
     server: Any = SimpleNamespace(gui=gui, on_client_disconnect=lambda function: function)
-    escape = Escape(server, hand)  # type: ignore[arg-type]
-    Help(server, hand, escape, 0.0)  # type: ignore[arg-type]
+    escape = EscapeKey(server, client_input)  # type: ignore[arg-type]
+    Help(server, client_input, escape, 0.0)  # type: ignore[arg-type]
     views = Views(
         server,
-        hand,  # type: ignore[arg-type]
+        client_input,  # type: ignore[arg-type]
         lambda _client, name: looked.append(name),
         lambda _client: looked.append("section"),
         {},
     )
-    Keys(server, session, hand, tell, views.commands())  # type: ignore[arg-type]
+    Keys(server, session, client_input, notify, views.commands())  # type: ignore[arg-type]
     return SimpleNamespace(gui=gui, looked=looked, told=told, escape=escape)
 
 
@@ -163,7 +163,7 @@ def test_keys_pause_step_choose_rules_and_reset(panel: Any, session: Session) ->
     before_nudge = session.handle.translation.copy()
     press("J", "shift")
     moved = session.handle.translation - before_nudge
-    np.testing.assert_allclose(moved, -1e-3 * seen_from(me.camera.wxyz)[:, 0], atol=1e-12)
+    np.testing.assert_allclose(moved, -1e-3 * viewer_axes(me.camera.wxyz)[:, 0], atol=1e-12)
     press("R")
     np.testing.assert_allclose(
         session.handle.translation, session.scene.T_base_start.translation, atol=1e-12
@@ -191,7 +191,7 @@ def test_dark_is_each_clients_own(panel: Any) -> None:
 def test_escape_closes_the_newest_dialog_of_its_client_then_leaves_what_all_see(panel: Any) -> None:
     escape, closed = panel.escape, []
     replay = [True]
-    escape.offer(lambda: bool(replay) and replay.pop())
+    escape.add_fallback(lambda: bool(replay) and replay.pop())
     first, second = lambda: closed.append("first"), lambda: closed.append("second")
     escape.opened(0, first)
     escape.opened(0, second)
@@ -245,7 +245,7 @@ class Typing:
         self.field = fields.NumberField(
             self.control,  # type: ignore[arg-type]
             (0.05, 20.0),
-            Hand(),  # type: ignore[arg-type]
+            ClientInput(),  # type: ignore[arg-type]
             lambda _client, text: self.told.append(text),
             takes,
             lambda: self.value,
@@ -325,7 +325,7 @@ def test_another_lens_shows_as_much_of_what_is_looked_at() -> None:
     assert distance < eye.far
     camera.set_lens(me, camera.FIELD_OF_VIEW)
     np.testing.assert_allclose(eye.position, [0.0, -10.0, 5.0], atol=1e-9)
-    assert (eye.near, eye.far) == (camera.NEAREST, camera.FARTHEST_DRAWN)
+    assert (eye.near, eye.far) == (camera.NEAR_PLANE, camera.FAR_PLANE)
 
 
 def test_the_depth_goes_along_with_a_parallel_camera() -> None:
@@ -333,7 +333,7 @@ def test_the_depth_goes_along_with_a_parallel_camera() -> None:
     camera.set_lens(me, camera.PARALLEL)
     for zoom in (0.1, 0.01, 3.0):
         me.camera.position = me.camera.look_at + zoom * (me.camera.position - me.camera.look_at)
-        camera.keep_depth(me)
+        camera.update_clipping(me)
         distance = np.linalg.norm(me.camera.position - me.camera.look_at)
         assert 0.3 * distance < me.camera.near < 0.7 * distance
         assert me.camera.far > distance

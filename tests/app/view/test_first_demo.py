@@ -113,19 +113,19 @@ def test_what_hides_the_tip_is_translucent_until_it_hides_it_no_longer(
         tip = scene.T_base_start.translation
         low = np.array([*tip[:2], scene.surface.vertices[:, 2].min()])
         above, below = (100.0 * (p + np.array([0.0, 0.0, h])) for p, h in ((tip, 0.1), (low, -0.1)))
-        layer.look_through([above], tip)
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity is None
-        layer.look_through([above, below], tip)
+        layer.keep_tip_visible([above, below], tip)
         assert mesh.opacity == anatomy.TRANSLUCENT
-        layer.look_through([above], tip)
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity == anatomy.TRANSLUCENT, "no flicker"
-        clock += 2.0 * anatomy.LINGER
-        layer.look_through([above], tip)
+        clock += 2.0 * anatomy.HOLD
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity is None
-        layer.look_through([np.full(3, np.nan)], tip)
+        layer.keep_tip_visible([np.full(3, np.nan)], tip)
         assert mesh.opacity is None
         layer.set_translucent(True)
-        layer.look_through([above], tip)
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity == anatomy.TRANSLUCENT
     finally:
         server.stop()
@@ -167,7 +167,7 @@ def test_pieces_with_colours_of_their_own_show_those_of_the_legend() -> None:
 
 
 def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
-    from app.view.fixture import SLOTS, FixtureDrawing
+    from app.view.fixture import MAX_PLANES, FixtureDrawing
     from app.view.labels import Labels
 
     p_tip = np.array(scene.T_base_start.translation) - np.array([0.0, 0.0, 0.014])
@@ -183,7 +183,7 @@ def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
         expected = palette.linear(np.repeat(looks, 3, axis=0))
         np.testing.assert_array_equal(edges.colors[:count, 0], expected)
         np.testing.assert_array_equal(edges.colors[:count, 1], expected)
-        assert len(edges.points) == 3 * SLOTS
+        assert len(edges.points) == 3 * MAX_PLANES
         lengths = np.linalg.norm(edges.points[:, 1] - edges.points[:, 0], axis=1)
         assert (lengths[:count] > 0).all()
         assert (lengths[count:] == 0).all()

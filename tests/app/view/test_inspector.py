@@ -15,9 +15,9 @@ import meshes
 import vf
 from app.scene import scene as scenes
 from app.settings import Options
-from app.view.inspector import figures, words
+from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Comparison, Pose, allowed, sample
-from app.view.inspector.inspection import Inspector, Question, Subject
+from app.view.inspector.inspection import Inspector, Request, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.region import allowed_region
 from app.view.worker import Worker
@@ -67,7 +67,8 @@ def test_each_case_shows_what_the_paper_draws(name):
     surface, x = figures.place(case, turn, np.array([0.4, 0.4, -0.1]))
     explanation = vf.explain(surface, x, figures.RADIUS, standoff=20e-6)
     found = tuple(
-        words.palette.TRIANGLE_STATES[words.state_of(explanation.of(t))].name for t in (0, 1)
+        descriptions.palette.TRIANGLE_STATES[descriptions.state_of(explanation.of(t))].name
+        for t in (0, 1)
     )
     # The certified rule guards what the paper's leaves undecided, from either side.
     expected = SHOWN[name]
@@ -79,17 +80,17 @@ def test_each_case_shows_what_the_paper_draws(name):
 
 
 def test_an_inspection_tells_who_blocks_and_how_hard(pressed):
-    inspection = Inspector().answer(Question(pressed, region=True, comparison=True))
+    inspection = Inspector().inspect(Request(pressed, region=True, comparison=True))
     step = pressed.step
-    blocking = inspection.foremost()
+    blocking = inspection.main_triangle()
     assert blocking == step.planes.triangles[np.argmax(step.multipliers)]
-    text = words.triangle(inspection, blocking)
+    text = descriptions.triangle(inspection, blocking)
     push = step.multipliers[step.planes.triangles == blocking].sum()
     assert f"pushed back by {push * 1e3:.3f} mm" in text
     assert "It blocks the way" in text
     idle = next(t for t in inspection.explanation.triangles if t not in step.planes.triangles)
-    assert "No plane in force" in words.triangle(inspection, int(idle))
-    assert words.nearest(inspection, blocking).count("<tr") == words.NEAREST
+    assert "No plane in force" in descriptions.triangle(inspection, int(idle))
+    assert descriptions.nearest(inspection, blocking).count("<tr") == descriptions.NEAREST
     # A corner of the region is nowhere behind a plane nor out of the sphere.
     corners = inspection.region.vertices
     assert (corners @ step.planes.normals.T >= step.planes.offsets - 1e-9).all()
@@ -97,7 +98,7 @@ def test_an_inspection_tells_who_blocks_and_how_hard(pressed):
 
 
 def test_every_verdict_has_plain_words(pressed):
-    explanation = Inspector().answer(Question(pressed, False, False)).explanation
+    explanation = Inspector().inspect(Request(pressed, False, False)).explanation
     reports = {report.verdict: report for report in explanation}
     reports[vf.Verdict.OUTSIDE] = explanation.of(int(np.argmax(np.linalg.norm(
         pressed.surface.vertices[pressed.surface.faces[:, 0]] - pressed.x, axis=1))))  # fmt: skip
@@ -105,14 +106,14 @@ def test_every_verdict_has_plain_words(pressed):
     for verdict in vf.Verdict:
         report = reports.get(verdict) or next(iter(reports.values()))
         report = vf.TriangleReport(**{**vars(report), "verdict": verdict})
-        text = words.reason(report, pressed)
+        text = descriptions.reason(report, pressed)
         met = re.match(r"Condition (\d)", text)
         number = {"FACE": 1, "RIDGE": 2, "SHARED": 2, "VALLEY": 3}.get(verdict.name)
         assert (int(met[1]) if met else None) == number
 
 
 def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pressed):
-    close = Inspector().answer(Question(pressed, False, comparison=True)).forecasts
+    close = Inspector().inspect(Request(pressed, False, comparison=True)).forecasts
     forecasts = {forecast.rule: forecast for forecast in close.of}
     assert set(forecasts) == set(vf.RULES)
     assert forecasts["certified"].leaking == 0.0
@@ -125,7 +126,7 @@ def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pr
     # Every face in the sphere blocks more than the planes that are needed.
     assert forecasts["all"].blocked > forecasts["certified"].blocked
     assert forecasts["certified"].p_tip == pytest.approx(pressed.x, abs=1e-4)
-    html = words.comparison(close)
+    html = descriptions.comparison(close)
     assert "Would go through the surface: off." in html
 
 
@@ -185,34 +186,34 @@ def test_no_room_makes_an_empty_region():
 
 
 def test_what_did_not_change_is_not_asked_again(pressed):
-    question = Question(pressed, region=True, comparison=False)
-    assert question.same(Question(replace(pressed), True, False))
-    assert not question.same(None)
-    assert not question.same(Question(pressed, False, False))
-    assert not question.same(Question(replace(pressed, x=pressed.x + 1e-6), True, False))
-    assert not question.same(Question(replace(pressed, step=replace(pressed.step)), True, False))
-    assert not question.same(Question(replace(pressed, rule="paper"), True, False))
+    request = Request(pressed, region=True, comparison=False)
+    assert request.same(Request(replace(pressed), True, False))
+    assert not request.same(None)
+    assert not request.same(Request(pressed, False, False))
+    assert not request.same(Request(replace(pressed, x=pressed.x + 1e-6), True, False))
+    assert not request.same(Request(replace(pressed, step=replace(pressed.step)), True, False))
+    assert not request.same(Request(replace(pressed, rule="paper"), True, False))
     inspector = Inspector()
-    first = inspector.answer(question)
-    again = inspector.answer(Question(replace(pressed, step=replace(pressed.step)), True, False))
+    first = inspector.inspect(request)
+    again = inspector.inspect(Request(replace(pressed, step=replace(pressed.step)), True, False))
     assert again.explanation is first.explanation
     assert again.region is first.region
 
 
 def test_a_comparison_that_lags_behind_is_made_up_for(pressed, monkeypatch):
     inspector = Inspector()
-    first = inspector.answer(Question(replace(pressed, tick=41), False, comparison=True))
+    first = inspector.inspect(Request(replace(pressed, tick=41), False, comparison=True))
     assert first.settled
     moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]), tick=43)
-    late = inspector.answer(Question(moved, False, comparison=True))
+    late = inspector.inspect(Request(moved, False, comparison=True))
     assert not late.settled  # too soon after the first
     assert late.forecasts is first.forecasts
     # What is said of it is of the moment it was made in, not of this one.
     assert (late.forecasts.x == pressed.x).all()
     assert late.forecasts.tick == 41
-    assert "after tick 41" in words.comparison(late.forecasts)
-    monkeypatch.setattr("app.view.inspector.inspection.SLOW", 0.0)
-    caught_up = inspector.answer(Question(moved, False, comparison=True))
+    assert "after tick 41" in descriptions.comparison(late.forecasts)
+    monkeypatch.setattr("app.view.inspector.inspection.COMPARISON_PERIOD", 0.0)
+    caught_up = inspector.inspect(Request(moved, False, comparison=True))
     assert caught_up.settled
     assert caught_up.forecasts is not first.forecasts
     assert caught_up.forecasts.tick == 43
@@ -225,14 +226,14 @@ def test_a_comparison_is_not_kept_for_another_place_or_other_settings(pressed):
         {"options": replace(pressed.options, tip_radius=1e-3)},
     ):
         inspector = Inspector()
-        first = inspector.answer(Question(pressed, False, comparison=True))
-        other = inspector.answer(Question(replace(pressed, **change), False, comparison=True))
+        first = inspector.inspect(Request(pressed, False, comparison=True))
+        other = inspector.inspect(Request(replace(pressed, **change), False, comparison=True))
         assert other.forecasts is not first.forecasts
 
 
 def test_all_trials_are_made_from_the_state_of_one_tick(scene, pressed):
     """What the comparison says of each rule is what that rule's own controller does next."""
-    compared = Inspector().answer(Question(pressed, False, comparison=True)).forecasts
+    compared = Inspector().inspect(Request(pressed, False, comparison=True)).forecasts
     for forecast in compared.of:
         controller = scenes.plant(scene, replace(pressed.options, rule=forecast.rule)).controller
         step = controller.step(pressed.pose.q, pressed.pose.target)
@@ -272,31 +273,31 @@ def test_the_thread_drops_old_questions_and_ends_when_nobody_asks():
     done: list[int] = []
     gate = threading.Event()
 
-    def answer(question: int) -> int:
+    def answer(request: int) -> int:
         gate.wait(5.0)
-        done.append(question)
-        return question
+        done.append(request)
+        return request
 
     worker: Worker[int, int] = Worker("inspector", answer)
-    for question in range(100):
-        worker.ask(question)
+    for request in range(100):
+        worker.request(request)
     gate.set()
-    wait_until(lambda: worker.newest() == 99)
+    wait_until(lambda: worker.latest() == 99)
     assert len(done) <= 2
     wait_until(lambda: not any(t.name == "inspector" for t in threading.enumerate()))
-    worker.ask(7)  # and starts anew
-    wait_until(lambda: worker.newest() == 7)
+    worker.request(7)  # and starts anew
+    wait_until(lambda: worker.latest() == 7)
 
 
 def test_a_failing_answer_leaves_the_last_one_standing():
     worker: Worker[int, float] = Worker("inspector", lambda q: 1.0 / q)
-    worker.ask(2)
-    wait_until(lambda: worker.newest() == 0.5)
-    worker.ask(0)
+    worker.request(2)
+    wait_until(lambda: worker.latest() == 0.5)
+    worker.request(0)
     time.sleep(0.05)
-    assert worker.newest() == 0.5
-    worker.ask(4)
-    wait_until(lambda: worker.newest() == 0.25)
+    assert worker.latest() == 0.5
+    worker.request(4)
+    wait_until(lambda: worker.latest() == 0.25)
 
 
 def test_comparison_leaves_the_scenes_arm_alone(scene, pressed):

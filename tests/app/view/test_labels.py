@@ -17,21 +17,21 @@ from PIL import ImageFont
 from app.scene import scene as scenes
 from app.settings import Options
 from app.view import labels, ruler
-from app.view.labels import Eye, Labels, Wanted, arrange, box, choices, size
+from app.view.labels import Camera, Candidate, Labels, arrange, box, choices, size
 from app.view.ruler import Rulers
 
 PIXELS = st.floats(-500.0, 2500.0)
 ANCHORS = tuple(labels._CHOICES)
 wanted_labels = st.lists(
     st.builds(
-        Wanted, PIXELS, PIXELS, st.floats(10.0, 400.0), st.floats(8.0, 40.0),
+        Candidate, PIXELS, PIXELS, st.floats(10.0, 400.0), st.floats(8.0, 40.0),
         st.sampled_from(ANCHORS),
     ),
     max_size=13,
 )  # fmt: skip
 crowds = st.lists(
     st.builds(
-        Wanted, st.floats(0.0, 60.0), st.floats(0.0, 30.0), st.floats(20.0, 90.0), st.just(16.0),
+        Candidate, st.floats(0.0, 60.0), st.floats(0.0, 30.0), st.floats(20.0, 90.0), st.just(16.0),
         st.sampled_from(ANCHORS),
     ),
     max_size=13,
@@ -39,7 +39,7 @@ crowds = st.lists(
 befores = st.dictionaries(st.integers(0, 12).map(str), st.sampled_from((*ANCHORS, None)))
 
 
-def corners(label: Wanted, anchor: str) -> np.ndarray:
+def corners(label: Candidate, anchor: str) -> np.ndarray:
     """Rows of the lowest and highest corner (2, 2) [px] of a label, from what its anchor says."""
     vertical, horizontal = anchor.split("-")
     x = {"left": 0.0, "center": -label.width / 2, "right": -label.width}[horizontal]
@@ -55,7 +55,7 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
 
 @given(wanted=st.one_of(wanted_labels, crowds), before=befores)
 def test_labels_are_apart_and_give_way_only_to_more_important_ones(
-    wanted: list[Wanted], before: dict[str, Any]
+    wanted: list[Candidate], before: dict[str, Any]
 ) -> None:
     named = {str(k): label for k, label in enumerate(wanted)}
     placed = arrange(named, before)
@@ -69,10 +69,10 @@ def test_labels_are_apart_and_give_way_only_to_more_important_ones(
                 if other == "center-center" != label.anchor:
                     continue  # its point would be under it
                 it = corners(label, other)
-                assert any(apart(it, b) < labels.CLEAR + 1e-9 for b in boxes)
+                assert any(apart(it, b) < labels.NEW_GAP + 1e-9 for b in boxes)
             continue
         it = corners(label, anchor)
-        assert all(apart(it, b) > labels.TAKEN - 1e-9 for b in boxes)
+        assert all(apart(it, b) > labels.KEPT_GAP - 1e-9 for b in boxes)
         boxes.append(it)
     assert arrange(named, placed) == placed, "nothing moves while nothing changes"
     for name in list(named)[:1]:
@@ -80,7 +80,7 @@ def test_labels_are_apart_and_give_way_only_to_more_important_ones(
 
 
 def test_a_label_stands_where_its_anchor_says() -> None:
-    label = Wanted(100.0, 50.0, 40.0, 16.0, "top-left")
+    label = Candidate(100.0, 50.0, 40.0, 16.0, "top-left")
     assert box(label, "top-left") == (100.0, 50.0, 140.0, 66.0)  # below its point, to the right
     assert box(label, "bottom-right") == (60.0, 34.0, 100.0, 50.0)
     assert box(label, "center-center") == (80.0, 42.0, 120.0, 58.0)
@@ -96,12 +96,12 @@ def test_what_is_tried_first_is_what_is_preferred_then_the_corners() -> None:
 
 def test_a_label_does_not_flicker_while_another_grazes_it() -> None:
     """Under the same small motion to and fro it changes its place once at most."""
-    low = Wanted(100.0, 100.0, 60.0, 16.0, "bottom-left")
+    low = Candidate(100.0, 100.0, 60.0, 16.0, "bottom-left")
     placed: dict[str, Any] = {}
     seen = []
     for k in range(40):
         # The lower one's upper side is at 84 px: half a pixel from the other, then three.
-        high = Wanted(100.0, 83.5 - 2.5 * (k % 2), 60.0, 16.0, "bottom-left")
+        high = Candidate(100.0, 83.5 - 2.5 * (k % 2), 60.0, 16.0, "bottom-left")
         placed = arrange({"high": high, "low": low}, placed)
         seen.append(placed["low"])
     assert sum(a != b for a, b in itertools.pairwise(seen)) <= 1
@@ -113,7 +113,7 @@ def test_a_point_is_where_a_camera_sees_it() -> None:
     for fov in (np.deg2rad(40.0), np.deg2rad(2.0)):
         R, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         R[:, 2] *= np.linalg.det(R)
-        eye = Eye(rng.normal(size=3), R, fov, 640.0, 360.0)
+        eye = Camera(rng.normal(size=3), R, fov, 640.0, 360.0)
         points = eye.place + (rng.normal(size=(50, 3)) * [0.3, 0.3, 1.0] @ R.T) * 20.0
         places, in_front = labels.project(points, eye)
         view = np.eye(4)
@@ -252,7 +252,9 @@ def test_scale_bars_that_are_switched_off_stay_off_in_another_scene(
     shown = lambda: [*(bar.visible for bar in bars[-2:]), page["/ruler/site/label"].visible]  # noqa: E731
     rulers.set_scene(built)
     assert shown() == [True, True, True]
-    assert page["/ruler/site/label"].text == "2 mm"  # the longest within 0.3 of 1 cm
+    assert (
+        page["/ruler/site/label"].text == "5 mm"
+    )  # at most 0.3 of a quarter of the diagonal, 69 mm
     rulers.show(False)
     rulers.set_scene(built)
     assert shown() == [False, False, False]

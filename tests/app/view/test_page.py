@@ -25,9 +25,9 @@ from app.scene import worker
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, help, keys, palette, recorder, signals, trail, who
+from app.view import Page, camera, client_names, help, keys, palette, recorder, signals, trail
+from app.view.client_input import ClientInput
 from app.view.depth import signed_distance
-from app.view.hand import Hand
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
 from tests.support.headless import wait_until
@@ -51,7 +51,7 @@ def test_nudges_go_where_the_viewer_sees_them_go() -> None:
         ([0.0, -1.0, 0.7], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
         ([1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
     ):
-        axes = keys.seen_from(looking(eye, [0.0, 0.0, 0.0]))
+        axes = keys.viewer_axes(looking(eye, [0.0, 0.0, 0.0]))
         np.testing.assert_allclose(axes, np.column_stack([right, away, [0, 0, 1]]), atol=1e-12)
 
 
@@ -59,7 +59,7 @@ def test_nudges_stay_orthonormal_however_the_camera_is_held() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
         q = rng.normal(size=4)
-        axes = keys.seen_from(q / np.linalg.norm(q))
+        axes = keys.viewer_axes(q / np.linalg.norm(q))
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
         assert np.linalg.det(axes) == pytest.approx(1.0)
         assert (axes[:, 2] == [0.0, 0.0, 1.0]).all()
@@ -74,13 +74,13 @@ def text(html: str) -> str:
 
 
 def test_clients_are_told_who_has_the_proxy() -> None:
-    assert who.line(0, 0, 1) == ""
-    assert "You are ■ client 3, one of 2" in text(who.line(2, None, 2))
-    assert "You (■ client 1) have the proxy" in text(who.line(0, 0, 2))
-    other = who.line(0, 4, 3)
+    assert client_names.line(0, 0, 1) == ""
+    assert "You are ■ client 3, one of 2" in text(client_names.line(2, None, 2))
+    assert "You (■ client 1) have the proxy" in text(client_names.line(0, 0, 2))
+    other = client_names.line(0, 4, 3)
     assert "Another client is dragging: ■ client 5 has the proxy" in text(other)
-    assert palette.css(who.color(4)) in other
-    assert len({who.color(i) for i in range(6)}) == 6
+    assert palette.css(client_names.color(4)) in other
+    assert len({client_names.color(i) for i in range(6)}) == 6
 
 
 def test_signed_distance_is_negative_inside_only() -> None:
@@ -147,7 +147,7 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     options = Options(mesh="sphere", robot="point")
     sphere = scene.build(options, 1, warm=False)
     context: Any = MagicMock()
-    context.screen.live = True
+    context.source.live = True
     tab = signals.Signals(context)
     tab.set_scene(sphere)
     tab._on.value = False
@@ -168,7 +168,7 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     asyncio.run(switched(None))
     frame(telemetry[-1])  # of a paused loop: no new tick
     assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with what was before"
-    context.screen.live = False  # a replay begins
+    context.source.live = False  # a replay begins
     frame(telemetry[0])
     assert len(tab._history.shown()[0]) == 1
 
@@ -211,18 +211,18 @@ def test_the_trail_is_bounded_skips_jumps_and_keeps_the_newest() -> None:
     np.testing.assert_allclose(path.segments[1:, 0], path.segments[:-1, 1])
     last = path.segments[-1, 1].copy()
     ahead = np.array([1.0, 0.0, 0.0])
-    assert not path.add(last + 0.1 * trail.SPACING * ahead, 0.0), "hardly moved"
-    assert not path.add(last + 2.0 * trail.JUMP * ahead, 0.0), "was put there"
-    assert path.add(last + (2.0 * trail.JUMP + 1e-3) * ahead, 0.0)
+    assert not path.add(last + 0.1 * trail.MIN_STEP * ahead, 0.0), "hardly moved"
+    assert not path.add(last + 2.0 * trail.MAX_STEP * ahead, 0.0), "was put there"
+    assert path.add(last + (2.0 * trail.MAX_STEP + 1e-3) * ahead, 0.0)
     assert np.linalg.norm(np.diff(path.segments[-1], axis=0)) == pytest.approx(1e-3)
-    path.lift()
+    path.break_line()
     assert not path.add(last, 0.0)
     path.clear()
     assert path.count == 0
 
 
 def test_the_trail_gets_darker_with_depth_and_is_told_from_the_outside() -> None:
-    depths = np.linspace(0.0, 2.0 * trail.DEEP, 9)
+    depths = np.linspace(0.0, 2.0 * trail.MAX_DEPTH, 9)
     shades = trail.colors(-depths[1:]).astype(float)
     lightness = shades @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness[:4]) < -10.0).all()
@@ -400,26 +400,26 @@ def test_the_session_ticks_while_a_replay_is_opened_which_can_be_stopped(
 
 def test_a_gizmo_that_is_moved_while_it_is_put_somewhere_is_put_back() -> None:
     proxy, handle = MagicMock(), pin.SE3.Identity()
-    hand = Hand(
+    entry = ClientInput(
         SimpleNamespace(handle=handle),  # type: ignore[arg-type]
         SimpleNamespace(get_clients=dict),  # type: ignore[arg-type]
         proxy,
         lambda _client, _text: None,
     )
     try:
-        hand.let_go()
-        wait_until(lambda: hand._shown is None)
+        entry.release()
+        wait_until(lambda: entry._shown is None)
 
         def moved_meanwhile(_handle: pin.SE3) -> None:
-            hand.let_go()
-            wait_until(lambda: hand._worker._work_queue.empty() and hand._shown is None)
+            entry.release()
+            wait_until(lambda: entry._worker._work_queue.empty() and entry._shown is None)
 
         proxy.place.side_effect = moved_meanwhile
-        hand.tend(None, False)
+        entry.update(None, False)
         proxy.place.side_effect = None
-        hand.tend(None, False)
+        entry.update(None, False)
         assert proxy.place.call_count == 2
-        hand.tend(None, False)
+        entry.update(None, False)
         assert proxy.place.call_count == 2, "it is there: nothing is sent"
     finally:
-        hand.close()
+        entry.close()

@@ -19,9 +19,9 @@ from websockets.sync.client import ClientConnection
 
 from app.session import Session
 from app.view import Page, guard
-from app.view.guard import allowance, connection
-from app.view.guard.messages import LARGEST, problem_with
-from app.view.guard.repairs import SHARE
+from app.view.guard import connection, token_bucket
+from app.view.guard.messages import MAX_MESSAGE, problem_with
+from app.view.guard.patches import SHARE
 from tests.support.clients import joined
 from tests.support.headless import wait_until
 
@@ -64,7 +64,7 @@ def test_a_crafted_message_opens_no_tunnel(page: Page, monkeypatch: pytest.Monke
         wait_until(lambda: page.server.get_clients())
     assert not opened
     assert page.server._share_tunnel is None
-    with pytest.raises(guard.Unguarded):
+    with pytest.raises(guard.GuardError):
         page.server.request_share_url()
     assert not opened
 
@@ -167,7 +167,7 @@ def test_a_few_bad_messages_are_dropped_and_many_end_the_connection(page: Page) 
 
 def test_a_message_without_end_ends_the_connection(page: Page) -> None:
     with joined(page) as socket:
-        assert cut_off(socket, bytes(LARGEST + 1)) == 1009
+        assert cut_off(socket, bytes(MAX_MESSAGE + 1)) == 1009
 
 
 def test_a_flood_is_dropped_then_cut_off(page: Page, session: Session) -> None:
@@ -192,8 +192,8 @@ def test_a_flood_of_pings_is_cut_off(page: Page) -> None:
 def test_drags_at_a_browser_s_rate_pass_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten seconds of drag, camera and slider at once, and a second of all that in a bunch."""
     clock = [0.0]
-    monkeypatch.setattr(allowance, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    messages = allowance.Allowance(*connection.MESSAGES)
+    monkeypatch.setattr(token_bucket, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    messages = token_bucket.TokenBucket(*connection.MESSAGES)
     for _ in range(1000):
         clock[0] += 0.01
         assert messages.take()
@@ -212,7 +212,7 @@ def test_an_upload_is_slowed_and_not_cut_off(page: Page) -> None:
 def test_a_client_that_does_not_read_is_dropped(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "STALLED", 0.5)
+    monkeypatch.setattr(connection, "STALL_TIMEOUT", 0.5)
     raw = socket.create_connection(("127.0.0.1", page.port))
     with raw:
         raw.sendall(

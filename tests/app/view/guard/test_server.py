@@ -52,5 +52,5 @@ def test_a_viser_that_changed_is_not_served(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(wire, "TransformControlsUpdateMessage")
-    with pytest.raises(guard.Unguarded, match="TransformControlsUpdateMessage missing"):
+    with pytest.raises(guard.GuardError, match="TransformControlsUpdateMessage missing"):
         Page(session, "127.0.0.1", 0)

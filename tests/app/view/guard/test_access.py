@@ -1,4 +1,4 @@
-"""Strangers at the door: other names, other sites, no token. Each is refused."""
+"""Requests that are refused: other host names, other sites, no token."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
 from app.view import Page, guard
-from app.view.guard.door import COOKIE
+from app.view.guard.access import COOKIE
 from tests.support.clients import asked, joined
 
 
