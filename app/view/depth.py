@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 import vf
 from app.control.watch import Crossing
 from app.judges.meeting import sees
-from app.judges.oracles import SCRATCH
+from app.judges.oracles import OVERLAP_TOLERANCE
 from app.scene.scene import Scene
 from robots import Arm
 
@@ -54,7 +54,7 @@ class Whereabouts:
     @property
     def overlaps(self) -> bool:
         """Whether the tip's ball overlaps the mesh by more than rounding."""
-        return self.tip_radius > 0.0 and self.gap < -SCRATCH
+        return self.tip_radius > 0.0 and self.gap < -OVERLAP_TOLERANCE
 
     @property
     def free(self) -> bool:

@@ -43,7 +43,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         del members["orders/clutch.npy"]
 
-    @case("surplus", "do not belong")
+    @case("surplus", "does not have")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         members["../../evil"] = b"x"
 
@@ -242,9 +242,9 @@ HOSTILE_BLOCKS: dict[str, tuple[Callable[[list], list], str]] = {
         lambda b: [*b[:2], (b"PART", 0, part({"orders": -1}))],
         "Expected `int` >= 0 - at `\\$.orders`",
     ),
-    "two heads": (lambda b: [b[0], *b], "HEAD is where none belongs"),
-    "no head": (lambda b: b[1:], "PART is where none belongs"),
-    "two ends": (lambda b: [*b, b[-1]], "LAST is where none belongs"),
+    "two heads": (lambda b: [b[0], *b], "HEAD is out of place"),
+    "no head": (lambda b: b[1:], "PART is out of place"),
+    "two ends": (lambda b: [*b, b[-1]], "LAST is out of place"),
     "another number of rows": (lambda b: [*b[:-1], (b"LAST", 5, b[-1][2])], "rows, not 5"),
     "a note that is none": (
         lambda b: [*b[:-1], (b"LAST", b[-1][1], b'{"note": ["x"]}')],

@@ -12,7 +12,6 @@ import trimesh
 import viser
 
 import vf
-from app.recording.rerun import run_headless
 from app.scenarios import presets
 from app.scenarios.staging import course
 from app.scene import scene as scenes
@@ -20,6 +19,7 @@ from app.scene.scene import Scene
 from app.settings import Options
 from app.view import anatomy, camera, palette, readouts, signals
 from app.view.proxy import GIZMO_SIZE
+from tests.support.runs import run_headless
 
 HEIGHT = 900  # of the picture on a usual screen [px]
 

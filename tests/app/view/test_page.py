@@ -20,7 +20,6 @@ import trimesh
 import vf
 from app.control.messages import LoopStats, Telemetry
 from app.recording.playback import Moment
-from app.recording.rerun import run_headless
 from app.refused import Refused
 from app.scene import worker
 from app.scene.scene import Scene
@@ -32,6 +31,7 @@ from app.view.depth import signed_distance
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
 from tests.support.headless import wait_until
+from tests.support.runs import run_headless
 
 
 def looking(eye: list[float], at: list[float]) -> np.ndarray:

@@ -122,7 +122,7 @@ def test_every_surface_of_a_scene_and_its_corridor_are_judged() -> None:
     across = np.cross(corridor.direction, down)
     for k in range(4):
         y = (1e-3 * k + 5e-4) * down
-        out = oracles.aside(corridor.path, corridor.direction, y) > corridor.width
+        out = oracles.lateral_distance(corridor.path, corridor.direction, y) > corridor.width
         assert around.crossings(x, y) == k + out
     assert around.crossings(x, 0.5 * across / np.linalg.norm(across)) == 1  # the corridor alone
     assert around.crossings(x, 2.0 * around.surfaces[3].vertices[0]) >= 1  # a pin
@@ -141,7 +141,7 @@ def test_a_ball_that_is_between_the_walls_is_in_the_corridor() -> None:
         assert isinstance(corridor, vf.CorridorFixture)
         spots = corridor.path[rng.integers(1, 5, 600)]
         for x in spots + 0.4 * corridor.width * rng.normal(size=(600, 3)):
-            off = oracles.aside(corridor.path, corridor.direction, x)
+            off = oracles.lateral_distance(corridor.path, corridor.direction, x)
             between = corridor.room(x) >= tip
             if between and off > corridor.width - tip:
                 beside += 1
@@ -156,7 +156,7 @@ def test_the_distance_from_a_path_seen_along_the_cut():
     for p, distance in (
         ([0.5, 0.5, 9.0], 0.5), ([-2.0, 0.3, 1.0], 2.0), ([-1.0, -7.0, 0.0], 1.0),
         ([5.0, 1.5, 0.0], 0.5), ([-3.0, 5.0, 0.0], 5.0)):  # fmt: skip
-        found = oracles.aside(path, np.array([0.0, 0.0, 1.0]), np.array(p))
+        found = oracles.lateral_distance(path, np.array([0.0, 0.0, 1.0]), np.array(p))
         assert found == pytest.approx(distance), p
 
 
