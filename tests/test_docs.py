@@ -145,8 +145,8 @@ def test_commands_exist(document: Path) -> None:
 
 # What `vf` may import, and which of its modules more than that, as CONTRIBUTING.md says.
 ARITHMETIC = {
-    "__future__", "collections", "dataclasses", "enum", "fractions", "functools", "hashlib", "itertools",
-    "math", "numpy", "osqp", "pinocchio", "scipy", "typing", "vf",
+    "__future__", "collections", "dataclasses", "enum", "fractions", "functools", "hashlib",
+    "itertools", "math", "numpy", "osqp", "pinocchio", "scipy", "typing", "vf",
 }  # fmt: skip
 MORE = {
     "controller": {"time"},  # the stopwatch of `Step.timings`
