@@ -91,7 +91,7 @@ class Calibrate(Checked):
 
 @dataclass(frozen=True)
 class Replay(Checked):
-    """Do one trial again and open it in the page, where it is played in real time."""
+    """Repeat one trial and play it on the page in real time."""
 
     experiment: str = like(Trial, "experiment", "cutting", "Which of the two.")
     rule: str = like(
