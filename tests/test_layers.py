@@ -1,4 +1,4 @@
-"""What may import what: vf and robots and meshes know nothing of app, neither do their tests."""
+"""What may import what: vf, robots and meshes know nothing of app, neither do their tests."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BELOW_APP = {"vf": {"vf"}, "robots": {"robots"}, "meshes": {"meshes", "vf"}}  # may import
+# What each may import. An arm describes its joints as the kernels of vf read them.
+BELOW_APP = {"vf": {"vf"}, "robots": {"robots", "vf"}, "meshes": {"meshes", "vf"}}
 
 
 def imported(path: Path) -> set[str]:

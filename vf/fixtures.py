@@ -7,9 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
+from vf.block import Search
 from vf.conditions import every_plane, paper_planes
-from vf.cover import Buffer, cover
+from vf.cover import cover
 from vf.inside import ON_SURFACE, leads_out, on_surface, way_out
+from vf.layout import MESH
 from vf.planes import FloatArray, Planes, checked_length
 from vf.surface import Surface
 
@@ -19,7 +21,11 @@ RULES = ("certified", "paper", "all", "off")
 
 
 class Fixture(Protocol):
-    """What the controller asks of a fixture. Answers depend on the arguments alone."""
+    """What the controller asks of a fixture. Answers depend on the arguments alone.
+
+    One with an attribute `search` (`vf.block.Search`) is not asked for planes, where the tip is not
+    inside nor on its surface: the tick looks for them itself.
+    """
 
     radius: float | None  # of the motion sphere [m]; None: as far as the arm can go in a tick
     certified: bool  # whether a verified step provably stays on its side
@@ -36,29 +42,6 @@ class Fixture(Protocol):
 
     def leads_out(self, x: FloatArray, y: FloatArray) -> bool:
         """Whether a step from x to y (3,) leads out: asked only where x is inside."""
-        ...
-
-
-class Filling(Fixture, Protocol):
-    """A fixture that can write its planes where the controller wants them: no arrays are made."""
-
-    fills: bool  # whether it does
-
-    def fill(
-        self,
-        buffer: Buffer,
-        first: int,
-        x: FloatArray,
-        radius: float,
-        standoff: float,
-        tip_radius: float,
-    ) -> tuple[int, float] | None:
-        """`planes` for an x that is not inside, written to the buffer from row `first` on.
-
-        Returns:
-            How many, at most `vf.cover.BUDGET`, and the radius they are valid in [m]; None where
-            only `planes` can answer.
-        """
         ...
 
 
@@ -85,7 +68,8 @@ class MeshFixture:
         self.rule = rule
         self.radius = radius
         self.certified = rule in ("certified", "off")
-        self.fills = rule == "certified"
+        # The controller looks for the certified planes itself where the tip is not inside.
+        self.search = Search(MESH, surface.tree, surface.edges) if rule == "certified" else None
 
     def inside(self, x: FloatArray) -> bool:
         return self.rule != "off" and self.surface.inside(x)
@@ -114,16 +98,3 @@ class MeshFixture:
         # Towards x by the standoff, but never past it: standing still stays allowed.
         offsets = np.minimum(planes.offsets + standoff + tip_radius, planes.normals @ x - ROOM)
         return replace(planes, offsets=offsets, radius=radius)
-
-    def fill(
-        self,
-        buffer: Buffer,
-        first: int,
-        x: FloatArray,
-        radius: float,
-        standoff: float,
-        tip_radius: float,
-    ) -> tuple[int, float] | None:
-        m, reach = buffer.fill(self.surface, x, radius, standoff, tip_radius, first)
-        # On the surface itself one walk of the tree does not answer.
-        return None if reach == 0.0 and self.surface.closed else (m, reach)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vf import pdtree
-from vf.cover import FAINT, Buffer, cover
+from vf.cover import FAINT, cover
 from vf.kernels import njit
 from vf.pdtree import (
     EXACT,
@@ -53,7 +53,7 @@ DETERMINANT = 16.0 * 1.2e-16
 
 
 class Part(NamedTuple):
-    """Some triangles of a surface, as far as `Buffer.fill` looks at one."""
+    """Some triangles of a surface, as far as `cover` looks at one."""
 
     tree: Tree
     edges: NDArray[np.int8]
@@ -101,16 +101,15 @@ def _guarded(
     for array in (*part.tree, part.edges):
         array.flags.writeable = False  # as a surface's: kernels are compiled for one kind only
     kept = min(standoff, CLEAR * float(found.distances[guarded].min()))
-    buffer = Buffer()
-    m, reach = buffer.fill(part, x, radius, kept, 0.0)
+    covering = cover(part, x, radius, kept, 0.0)
     return Planes(
-        np.concatenate([out.normals, buffer.normals[:m]]),
-        np.concatenate([out.offsets, buffer.offsets[:m]]),
-        np.concatenate([out.points, buffer.points[:m]]),
-        np.concatenate([out.triangles, rows[buffer.triangles[:m]]]),
-        np.full(1 + m, int(Rule.EXIT)),
-        reach,
-        np.concatenate([out.floors, buffer.floors[:m]]),
+        np.concatenate([out.normals, covering.normals]),
+        np.concatenate([out.offsets, covering.offsets]),
+        np.concatenate([out.points, covering.points]),
+        np.concatenate([out.triangles, rows[covering.triangles]]),
+        np.full(1 + len(covering), int(Rule.EXIT)),
+        covering.radius,
+        np.concatenate([out.floors, covering.floors]),
     )
 
 

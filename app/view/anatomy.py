@@ -33,7 +33,6 @@ class Anatomy(Part):
         self._whole = True  # not cut
 
     def set_scene(self, scene: Scene) -> None:
-        """Draw the mesh of a scene."""
         self._scene = scene
         self._hidden_at = -np.inf
         self.cut(None)
@@ -71,7 +70,6 @@ class Anatomy(Part):
         self._draw()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Keep the tip visible to all clients."""
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
         self.keep_tip_visible(eyes, np.array(shown.tip.translation))
 

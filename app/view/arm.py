@@ -57,11 +57,7 @@ class ArmDrawing(Part):
             self._root.visible = visible
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Move the arm to the tick's joint positions."""
-        self.update(shown.telemetry.q)
-
-    def update(self, q: NDArray[np.float64]) -> None:
-        """Move the bodies to the joint positions q (n,)."""
+        q = shown.telemetry.q
         if self._arm is None or len(q) != len(self._arm.lower):
             return  # telemetry of the previous scene
         placements = self._arm.placements(q)  # (bodies, 7): wxyz, position [m]

@@ -101,7 +101,7 @@ def tool_view(step: vf.Step) -> View:
     along = DIRECTION - (DIRECTION @ normal) * normal
     if np.linalg.norm(along) < 1e-3:
         return view
-    # 35° above the surface: from lower a curved one hides the tip.
+    # 35° above the surface: at smaller angles a curved one hides the tip.
     direction = 0.57 * normal + 0.82 * along / np.linalg.norm(along)
     return View(p_tip + np.linalg.norm(view.eye - p_tip) * direction, p_tip)
 

@@ -26,7 +26,6 @@ class Cameras(Part):
         self._composed = False
 
     def set_scene(self, scene: Scene) -> None:
-        """Move all cameras to the first view of a scene."""
         view = camera.site_view(scene, scene.T_base_start.translation)
         camera.set_initial_camera(self._server, view)
         if self._composed:
@@ -36,7 +35,6 @@ class Cameras(Part):
         self._composed = True
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Follow the tool, and update the clipping planes."""
         self.following.update(clients, np.array(shown.tip.translation))
         for client in clients.values():
             camera.update_clipping(client)

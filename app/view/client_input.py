@@ -46,9 +46,7 @@ class ClientInput:
             1, "input", initializer=prefer_this_thread, initargs=(VIEW_PRIORITY,)
         )
         self._owner: int | None = None  # written by the worker only
-        self._shown: pin.SE3 | None = (
-            session.handle
-        )  # pose of the gizmo on the pages; None: unknown
+        self._shown: pin.SE3 | None = session.handle  # of the gizmo on the pages; None: unknown
         self._refusal_shown = False
         self.moved = threading.Event()
 
@@ -66,11 +64,6 @@ class ClientInput:
     def close(self) -> None:
         """Finish the running order, drop the others, accept no more."""
         self._worker.shutdown(wait=True, cancel_futures=True)
-
-    @property
-    def dragging(self) -> bool:
-        """Whether a client drags the gizmo."""
-        return self._owner is not None
 
     @property
     def owner(self) -> int | None:
@@ -99,7 +92,7 @@ class ClientInput:
             return
         handle = target if autopilot and target is not None else self._session.handle
         if self._shown is None or not same_pose(handle, self._shown):
-            # In this order: whoever moves the gizmo meanwhile, and lets go, has it put back again.
+            # In this order: a drag that ends meanwhile sets `_shown` to None, which must persist.
             self._shown = handle
             self._proxy.place(handle)
 

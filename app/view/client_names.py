@@ -66,17 +66,16 @@ class ClientLines(Part):
         return "" if shown is None else str(shown.content)
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Update the lines that changed."""
         owner = self._owner()
         for gone in self._lines.keys() - clients.keys():
             del self._lines[gone]
         for client_id, client in clients.items():
             text = line(client_id, owner, len(clients))
-            told = self._lines.get(client_id)
+            shown_line = self._lines.get(client_id)
             # The client may disconnect meanwhile; the next frame drops its line.
             with contextlib.suppress(Exception):
-                if told is None:
+                if shown_line is None:
                     if text:
                         self._lines[client_id] = client.gui.add_html(text, order=self._order)
-                elif told.content != text:
-                    told.content = text
+                elif shown_line.content != text:
+                    shown_line.content = text

@@ -87,7 +87,7 @@ class CorridorControl(Part):
         return None if width is None else width * 1e3
 
     async def _switched(self, event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:  # None: we set it ourselves
+        if event.client is not None:  # None: set by this program
             self._input.submit(self._switch, event.client, bool(event.target.value))
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:

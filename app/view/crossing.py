@@ -29,11 +29,7 @@ class CrossingMark(Part):
         self._shown: Crossing | None = None
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Mark the moment's crossing."""
-        self.update(shown.crossing)
-
-    def update(self, crossing: Crossing | None) -> None:
-        """Show a crossing; None: hide the mark."""
+        crossing = shown.crossing
         if crossing is self._shown:
             return
         self._shown = crossing

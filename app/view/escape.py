@@ -26,7 +26,7 @@ class EscapeKey:
                 client_input.submit(self.press, event.client.client_id)
 
         @server.on_client_disconnect
-        async def _gone(client: viser.ClientHandle) -> None:
+        async def _disconnected(client: viser.ClientHandle) -> None:
             self._open.pop(client.client_id, None)
 
     def opened(self, client_id: int, close: Close) -> None:

@@ -49,7 +49,7 @@ class NumberField:
 
         @control.on_update
         async def _typed(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: we set it ourselves
+            if event.client is not None:  # None: set by this program
                 self._typed(event.client, event.target.value)
 
     def sync(self) -> None:

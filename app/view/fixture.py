@@ -20,9 +20,7 @@ FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
 MAX_PLANES = 128  # drawn; rule "all" can make a thousand
-MAX_DISCS = (
-    12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
-)
+MAX_DISCS = 12  # only the nearest planes have a disc and an arrow, the others a rim
 # Opacity of the discs, and while the inspector draws below them.
 IDLE_OPACITY = (0.3, 0.1)
 ACTIVE_OPACITY = (0.65, 0.3)
@@ -84,14 +82,10 @@ class FixtureDrawing(Part):
         """The inspector draws the triangles: draw none, and paler discs."""
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Draw the tick's planes."""
-        if shown.telemetry.step is not None:
-            self.update(shown.telemetry.step, shown.scene.surface)
-
-    def update(self, step: vf.Step, surface: vf.Surface) -> None:
-        """Draw the planes of one step."""
-        p_tip = np.asarray(step.tip.translation)
-        self.draw(p_tip, step.radius, step.planes, step.multipliers, surface)
+        step = shown.telemetry.step
+        if step is not None:
+            p_tip = np.asarray(step.tip.translation)
+            self.draw(p_tip, step.radius, step.planes, step.multipliers, shown.scene.surface)
 
     def draw(
         self,

@@ -85,13 +85,13 @@ class Camera(NamedTuple):
     """A pinhole camera.
 
     Attributes:
-        place: its position (3,), scene units.
+        position: (3,), scene units.
         R: its axes as columns (3, 3): right, down, forward.
         fov: vertical field of view [rad].
         width, height: of the picture [px].
     """
 
-    place: FloatArray
+    position: FloatArray
     R: FloatArray
     fov: float
     width: float
@@ -148,7 +148,6 @@ class Labels(Part):
         return self._labels[name]
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Place the labels, after all other parts have set theirs."""
         self.place(clients)
 
     def place(self, clients: Mapping[int, viser.ClientHandle]) -> None:
@@ -172,15 +171,15 @@ class Labels(Part):
         They are placed for the camera of new clients; the clients' own labels do not change.
         """
         camera = self._server.initial_camera
-        place = np.asarray(camera.position, dtype=np.float64)
-        axes = _look_at(place, camera.look_at)
-        eye = Camera(place, axes, float(camera.fov), *PICTURE)
-        sight = _ClientLabels(self._server.scene, self._labels)
+        position = np.asarray(camera.position, dtype=np.float64)
+        axes = _look_at(position, camera.look_at)
+        eye = Camera(position, axes, float(camera.fov), *PICTURE)
+        shared = _ClientLabels(self._server.scene, self._labels)
         try:
-            sight.show(self._wanted(), eye)
+            shared.show(self._wanted(), eye)
             yield
         finally:
-            sight.remove()
+            shared.remove()
 
     def _wanted(self) -> Texts:
         """The visible labels, most important first."""
@@ -204,6 +203,7 @@ class _ClientLabels:
 
     def __post_init__(self) -> None:
         self._last: tuple[object, ...] = ()
+        # All at once: a client's node hides the shared one of that name, which `in_scene` makes.
         self._nodes = {
             name: self.api.add_label(
                 _node(name),
@@ -217,7 +217,7 @@ class _ClientLabels:
 
     def show(self, labels: Texts, eye: Camera) -> None:
         """Place labels for a camera and draw those with room."""
-        now = (labels, eye.place.tobytes(), eye.R.tobytes(), *eye[2:])
+        now = (labels, eye.position.tobytes(), eye.R.tobytes(), *eye[2:])
         if now == self._last:
             return
         self._last = now
@@ -293,7 +293,7 @@ def project(points: FloatArray, eye: Camera) -> tuple[FloatArray, NDArray[np.boo
 
     The pixels of the other points are meaningless.
     """
-    right, down, forward = ((points - eye.place) @ eye.R).T
+    right, down, forward = ((points - eye.position) @ eye.R).T
     in_front = forward > NEAR_PLANE
     focal = 0.5 * eye.height / np.tan(0.5 * eye.fov)
     scale = focal / np.where(in_front, forward, 1.0)

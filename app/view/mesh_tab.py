@@ -139,7 +139,6 @@ class MeshTab(Part):
         self._show_report()
 
     def read_out(self, shown: Moment) -> None:
-        """Update the list of files and the buttons."""
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):
             value = self._files.value if self._files.value in names else names[0]
@@ -180,7 +179,7 @@ class MeshTab(Part):
         if not found:
             shutil.rmtree(path.parent, ignore_errors=True)
             return
-        across, said = found[0]
+        diagonal, stated = found[0]
         length = path.stat().st_size
         form = (meshes.kind(path.name) or "").upper()
         dialog = client.gui.add_modal("In which unit is this mesh?")
@@ -189,7 +188,7 @@ class MeshTab(Part):
                 f"<div style='{_STYLE}'><b>{html.escape(path.name)}</b>, {size(length)}. "
                 + (
                     "It says its unit; choose another if that is wrong."
-                    if said
+                    if stated
                     else f"This {form} file does not say its unit: choose the size that it has."
                 )
                 + " Choose the side first if another than z is to face the tool.</div>"
@@ -197,7 +196,7 @@ class MeshTab(Part):
             # Buttons first: they get the focus, with which a dropdown would open over the rest.
             choices = {
                 unit: client.gui.add_button(words)
-                for unit, words in choices_of(across, said).items()
+                for unit, words in choices_of(diagonal, stated).items()
             }
             up = client.gui.add_dropdown(
                 "Side facing the tool",

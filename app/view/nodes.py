@@ -12,7 +12,7 @@ from app.view.palette import Rgb
 
 def mesh(api: viser.SceneApi, name: str, color: Rgb, **more: Any) -> viser.MeshHandle:
     """A hidden two-sided mesh without shadows; a node needs at least one triangle."""
-    shape = {"vertices": np.zeros((3, 3), dtype=np.float32), "faces": np.array([[0, 1, 2]])}
+    shape = {"vertices": np.zeros((3, 3)), "faces": np.array([[0, 1, 2]], dtype=np.uint32)}
     return api.add_mesh_simple(
         name,
         **{**shape, **more},

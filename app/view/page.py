@@ -214,7 +214,7 @@ class Page:
     @property
     def dragging(self) -> bool:
         """Whether a client drags the gizmo."""
-        return self._input.dragging
+        return self._input.owner is not None
 
     def client_line(self, client_id: int) -> str:
         """HTML line about who drags the proxy, on one client's panel."""
@@ -292,7 +292,7 @@ class Page:
         fixture = self._fixture
 
         def names(on: bool) -> None:
-            self._proxy.show_labels(on)
+            self._proxy.show_labels = on
             self._rulers.show(on)
 
         return {
@@ -303,7 +303,7 @@ class Page:
             "Planes": (True, partial(setattr, fixture, "show_planes")),
             "Normals": (True, partial(setattr, fixture, "show_normals")),
             "Triangles": (True, partial(setattr, fixture, "show_triangles")),
-            "Force": (True, self._tool.show_force),
-            "Tether": (True, self._proxy.show_tether),
+            "Force": (True, partial(setattr, self._tool, "show_force")),
+            "Tether": (True, partial(setattr, self._proxy, "show_tether")),
             "Labels": (True, names),
         }

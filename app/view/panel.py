@@ -85,7 +85,6 @@ class Panel(Part):
         self.sync()
 
     def read_out(self, shown: Moment) -> None:
-        """Update the controls."""
         self.sync()
 
     def sync(self) -> None:
@@ -271,7 +270,7 @@ class Panel(Part):
 
         @control.on_update
         async def _updated(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: we set it ourselves
+            if event.client is not None:  # None: set by this program
                 self._input.submit(order, event.client, event.target.value)
 
     def _take_autopilot(self, value: object) -> None:

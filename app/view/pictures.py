@@ -70,7 +70,8 @@ class Pictures:
         client.send_file_download(f"{self._name()}.gif", gif(taken), save_immediately=True)
 
     def _scene_page(self, client: viser.ClientHandle) -> None:
-        with self._context.labels.in_scene():  # until the end: the writer follows what is removed
+        # The serializer also records removals, so it writes its file before the labels are removed.
+        with self._context.labels.in_scene():
             content = self._context.server.get_scene_serializer().as_html().encode()
         client.send_file_download(f"{self._name()}.html", content, save_immediately=True)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import viser
-from numpy.typing import NDArray
 
 from app.recording.playback import Moment
 from app.view import nodes, palette
@@ -43,45 +42,24 @@ class Proxy(Part):
         )
         self._ball_name = labels.add("/proxy/ball_name", "proxy", anchor="bottom-right")
         self._tether = nodes.lines(api, "/proxy/tether", 2.5, palette.PROXY)
-        self._show_tether = True
-        self._show_labels = True
+        self.show_tether = True
+        self.show_labels = True
         self.holder = ""
         """Name of the client that drags the gizmo, for its label; may be empty."""
         self.suppressed = False
         """Draw nothing: the inspector's probe is shown instead."""
 
-    def show_tether(self, visible: bool) -> None:
-        """Layer switch of the tether."""
-        self._show_tether = visible
-
-    def show_labels(self, visible: bool) -> None:
-        """Layer switch of the names."""
-        self._show_labels = visible
-
     def place(self, handle: pin.SE3) -> None:
         """Move the gizmo; not during a drag."""
         self.gizmo.wxyz, self.gizmo.position = pose_to_view(handle)
 
-    def lock_rotation(self, locked: bool) -> None:
-        """Hide the gizmo's rings while the orientation is locked."""
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        """Without a target the handle is the proxy; without a handle only the target is drawn."""
+        handle, target = shown.handle, shown.telemetry.target
+        p_tip = shown.tip.translation
+        locked = shown.options.lock_orientation
         if self.gizmo.disable_rotations != locked:
             self.gizmo.disable_rotations = locked
-
-    def frame(self, shown: Moment, clients: Clients) -> None:
-        """Draw handle and proxy."""
-        self.lock_rotation(shown.options.lock_orientation)
-        self.update(shown.handle, shown.telemetry.target, shown.tip.translation)
-
-    def update(
-        self,
-        handle: pin.SE3 | None,
-        target: pin.SE3 | None,
-        p_tip: NDArray[np.float64],
-    ) -> None:
-        """Draw the handle's pose, the proxy's, and the tether from the tool tip p_tip (3,) [m].
-
-        Without a target the handle is the proxy; without a handle only the target is drawn.
-        """
         suppressed = self.suppressed or (handle is None and target is None)
         by_hand = handle is not None and not suppressed
         if handle is None:
@@ -96,15 +74,15 @@ class Proxy(Part):
             f" · {self.holder}" if self.holder else ""
         )
         self.gizmo.visible = by_hand
-        self._name.visible = self._show_labels and by_hand
+        self._name.visible = self.show_labels and by_hand
         goal = handle if target is None else target
         self._ball.visible = apart and not suppressed
-        self._ball_name.visible = self._ball.visible and self._show_labels
+        self._ball_name.visible = self._ball.visible and self.show_labels
         if apart:
             self._ball.position = to_view(goal.translation)
             self._ball_name.position = to_view(goal.translation)
         offset = goal.translation - p_tip
-        taut = self._show_tether and not suppressed and bool(np.linalg.norm(offset) > MIN_TETHER)
+        taut = self.show_tether and not suppressed and bool(np.linalg.norm(offset) > MIN_TETHER)
         if taut:
             self._tether.position = to_view(p_tip)
             self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], offset]]))

@@ -31,7 +31,6 @@ class ReadoutPanel(Part):
         self.panel.set_width(290)
 
     def read_out(self, shown: Moment) -> None:
-        """Update read-outs and banner."""
         options, telemetry = shown.options, shown.telemetry
         extras = self._measuring.measure(shown, self._session.unwatched)
         self._table.content = readouts.readouts(telemetry, options, extras)

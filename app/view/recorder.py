@@ -84,11 +84,9 @@ class RecordTab(Part):
         self._refresh()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Restore the cameras after a replay."""
         self._replaying.frame()
 
     def read_out(self, shown: Moment) -> None:
-        """Update all controls, those of the replay included."""
         tape = self._session.tape
         going = tape is not None and tape.running
         # Only this thread writes the controls.
@@ -129,13 +127,13 @@ class RecordTab(Part):
         doing = f"Opening {path.name}"
         self._set_progress(f"{doing} …")
 
-        def say(text: str) -> None:
+        def progress(text: str) -> None:
             self._set_progress(f"{doing}: {text} …")
 
         with self._session.work.begin() as stop:
             self._opening = True
             try:
-                self._replaying.show(path.stem, read(path), say, stop)
+                self._replaying.show(path.stem, read(path), progress, stop)
             finally:
                 self._opening = False
 

@@ -118,7 +118,6 @@ class ScenarioChoice(Part):
                 self._apply_camera(client)
 
     def read_out(self, shown: Moment) -> None:
-        """Disable the controls during a replay."""
         live = self._source.live
         self._choice.disabled = self._open.disabled = not live
         self._buttons.visible = live

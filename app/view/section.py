@@ -76,7 +76,6 @@ class Section(Part):
         self._client_id = None if self.on else client.client_id
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Keep the cut at the tip."""
         self.update(shown.scene, clients, np.array(shown.tip.translation))
 
     def update(

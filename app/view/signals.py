@@ -160,7 +160,6 @@ class Signals(Part):
             self._due = True
 
     def set_scene(self, scene: Scene) -> None:
-        """Clear plots and trail for another scene."""
         self._swap_history()
         if scene.version == self._scene.version:
             return
@@ -168,7 +167,6 @@ class Signals(Part):
         self._clear_all()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Sample and draw, each with its own period."""
         telemetry = shown.telemetry
         self._swap_history()
         if self._cleared:

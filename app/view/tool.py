@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from app.recording.playback import Moment
 from app.view import palette
@@ -44,27 +43,17 @@ class Tool(Part):
             visible=False,
         )
         self._label = labels.add("/tool/force_label", anchor="bottom-right")
-        self._show_force = True
-
-    def show_force(self, visible: bool) -> None:
-        """Layer switch of the force arrow."""
-        self._show_force = visible
+        self.show_force = True
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Draw tip and force."""
-        self.update(shown.tip.translation, shown.options.tip_radius, shown.force)
-
-    def update(
-        self, p_tip: NDArray[np.float64], tip_radius: float, force: NDArray[np.float64]
-    ) -> None:
-        """Draw the tip p_tip (3,) [m] with its radius [m], and the force on the hand (3,) [N]."""
+        p_tip, tip_radius, force = shown.tip.translation, shown.options.tip_radius, shown.force
         self._dot.position = to_view(p_tip)
         self._ball.visible = tip_radius > 0.0
         if tip_radius > 0.0:
             self._ball.position = to_view(p_tip)
             self._ball.scale = float(to_view(tip_radius))
         strength = float(np.linalg.norm(force))
-        drawn = self._show_force and strength > MIN_FORCE
+        drawn = self.show_force and strength > MIN_FORCE
         if drawn:
             arrow = FORCE_LENGTH * force
             side = np.cross(force, DIRECTION)

@@ -85,7 +85,7 @@ class Uploads:
             connection.register_handler(kind, ours)  # type: ignore[arg-type]
 
         @server.on_client_disconnect
-        async def _gone(client: viser.ClientHandle) -> None:
+        async def _disconnected(client: viser.ClientHandle) -> None:
             for key, transfer in tuple(self._transfers.items()):
                 if transfer.client_id == client.client_id:
                     self._discard(key)
@@ -204,8 +204,8 @@ class Uploads:
     def _fail(self, key: str, reason: str) -> None:
         transfer = self._transfers[key]
         self._discard(key)
-        said = f"“{transfer.path.name}” was not taken: {reason}."
-        self._report_refusal(transfer.client_id, transfer.button, key, said)
+        text = f"“{transfer.path.name}” was not taken: {reason}."
+        self._report_refusal(transfer.client_id, transfer.button, key, text)
 
     def _discard(self, key: str) -> None:
         transfer = self._transfers.pop(key)

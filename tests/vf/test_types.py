@@ -10,6 +10,7 @@ from numba.core.dispatcher import Dispatcher
 import robots
 import vf
 from vf import (
+    chain,
     closest,
     conditions,
     corridor,
@@ -19,11 +20,13 @@ from vf import (
     pdtree,
     problem,
     surface,
+    tick,
     winding,
 )
 
 MODULES = (
-    closest, conditions, corridor, cover, haptics, inside, pdtree, problem, surface, winding
+    chain, closest, conditions, corridor, cover, haptics, inside, pdtree, problem, surface, tick,
+    winding,
 )  # fmt: skip
 BLOCK = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)])  # integers
 FACES = [[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6]]

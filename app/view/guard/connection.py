@@ -90,7 +90,7 @@ class Connection(ServerConnection):
         self._added += self.transport.get_write_buffer_size() - before
 
     def pause_writing(self) -> None:
-        """The write buffer is full: check from now on that the client reads."""
+        """The write buffer is above its limit: check from now on that the client reads."""
         super().pause_writing()
         # The keepalive of websockets does not notice: its ping waits in the same buffer.
         self._behind_since = self.loop.time()

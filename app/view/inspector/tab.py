@@ -238,7 +238,7 @@ class InspectorTab(Part):
 
         @control.on_update
         async def _updated(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: we set it ourselves
+            if event.client is not None:  # None: set by this program
                 self._context.client_input.submit(take, event.client, event.target.value)
 
     def _set(self, region: bool | None = None, comparing: bool | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The corridor in the sandbox: from the options and the session to the planes of a tick."""
+"""The corridor, from options and session to the planes of a tick."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from app.judges import oracles
 from app.studies.verification import campaign, scenes
 from meshes.builtin.damage import damage, kinds
 from tests.support.everyday import everyday
-from vf.cover import Buffer
+from vf import cover, fixtures
 
 ROOT = Path(__file__).parents[4]
 SMALL = ("cube", "gear", "thin-plate", "skull-coarse")
@@ -203,18 +204,21 @@ def test_the_papers_conditions_leak_on_damaged_meshes(kind):
 
 def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
-    honest = Buffer.fill
+    honest = cover.cover
 
-    def weakened(self, surface, x, radius, standoff, tip_radius, first=0, sharing=False):
-        m, reach = honest(self, surface, x, radius, standoff, tip_radius, first, sharing)
+    def weakened(surface, x, radius, standoff, tip_radius):
+        planes = honest(surface, x, radius, standoff, tip_radius)
         back = standoff + 5e-5
-        normals, offsets, points, _, _, floors = self.rows(first)
-        offsets[:m] -= back
-        floors[:m] -= back
-        points[:m] -= back * normals[:m]
-        return m, reach
+        return replace(
+            planes,
+            offsets=planes.offsets - back,
+            floors=planes.floors - back,
+            points=planes.points - back * planes.normals,
+        )
 
-    monkeypatch.setattr(Buffer, "fill", weakened)
+    monkeypatch.setattr(cover, "cover", weakened)
+    monkeypatch.setattr(fixtures, "cover", weakened)
+    monkeypatch.setattr(fixtures, "Search", lambda *_: None)  # ticks ask the fixture
     mesh = meshes.arrays("cube")
     driven = campaign.drive(
         robots.load("point"), mesh, rule="certified", radius=5e-4, steps=2000, seed=5
