@@ -10,15 +10,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.content import check_corners, cut_off
+from meshes.builtin.shapes import Arrays
+from meshes.content import check_corners, checked, cut_off
 from meshes.errors import MeshError
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Lists = tuple[IntArray, IntArray]
+"""Corners of all polygons or strips one after the other, and the number of corners of each."""
 
+NO_LISTS: Lists = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
 MOST_WORK = 200_000_000  # sum of squared numbers of corners of polygons that are not convex: 5 s
 _FLAT = 1e-10  # sine of an angle below which a corner counts as straight
+
+
+def body(vertices: FloatArray, polygons: Lists, strip_lists: Lists = NO_LISTS) -> Arrays:
+    """Vertices ``(n, 3)``, and the triangles of polygons and of strips.
+
+    Raises:
+        MeshError: see `content.checked` and `triangles`.
+    """
+    checked(vertices, np.empty((0, 3), dtype=np.int64))  # polygons are cut by their shape
+    corners, counts = strip_lists
+    more = strips(np.insert(corners, np.cumsum(counts)[:-1], -1))
+    return checked(vertices, np.vstack([triangles(vertices, *polygons), more]))
 
 
 def triangles(vertices: FloatArray, corners: IntArray, counts: IntArray) -> IntArray:

@@ -13,10 +13,10 @@ from array import array
 import numpy as np
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import triangles
+from meshes.polygons import body
 
 # Statements that say nothing about where the surface is.
 _KNOWN = frozenset(
@@ -79,11 +79,10 @@ def read(data: bytes) -> Content:
     if thin:
         notes.append(f"{thin:,} of the faces have fewer than three corners: no surface.")
     points = np.array(positions, dtype=np.float64).reshape(-1, 3)
-    checked(points, np.empty((0, 3), dtype=np.int64))
-    faces = triangles(points, np.array(corners, dtype=np.int64), np.array(counts, dtype=np.int64))
+    polygons = np.array(corners, dtype=np.int64), np.array(counts, dtype=np.int64)
     comments = b"\n".join(x for x in plain[:10_000].split(b"\n") if x.lstrip().startswith(b"#"))
     return Content(
-        [checked(points, faces)],
+        [body(points, polygons)],
         frame=frames.in_text(comments),
         notes=(*notes, *text.open_end(plain)),
     )

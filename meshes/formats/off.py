@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import triangles, unpacked
+from meshes.polygons import body, unpacked
 
 _KEYWORD = re.compile(rb"\s*(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z])([ \t]*BINARY)?", re.IGNORECASE)
 # Two counts alone on a line, or three anywhere: vertices, faces, edges.
@@ -46,11 +46,10 @@ def read(data: bytes) -> Content:
         raise MeshError(f"counts {vertices} vertices and {faces} faces")
     if 2 * (3 * vertices + faces) > len(plain):
         raise cut_off(f"{vertices:,} vertices and {faces:,} faces", f"{len(plain):,} bytes")
-    body = plain[found.end() :]
-    points, corners, counts, notes = _free(body, vertices, faces) or _lines(body, vertices, faces)
-    checked(points, np.empty((0, 3), dtype=np.int64))
+    rest = plain[found.end() :]
+    points, corners, counts, notes = _free(rest, vertices, faces) or _lines(rest, vertices, faces)
     return Content(
-        [checked(points, triangles(points, corners, counts))],
+        [body(points, (corners, counts))],
         frame=frames.in_text(comments),
         notes=(*notes, *text.open_end(plain)),
     )

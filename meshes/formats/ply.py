@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import strips, triangles
+from meshes.polygons import NO_LISTS, Lists, body
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -61,19 +61,18 @@ def read(data: bytes) -> Content:
         numbers = text.numbers(plain, "after the header")
         if not _fits(numbers, elements):
             numbers = _rows(plain, elements)
-        body, order = numbers.astype("<f8").tobytes(), "<"
+        content, order = numbers.astype("<f8").tobytes(), "<"
         for element in elements:
             element.properties = [
                 _Property(p.name, "f8", "f8" if p.count else None) for p in element.properties
             ]
     else:
-        body = data[start:]
+        content = data[start:]
     points: NDArray[np.float64] | None = None
-    faces: list[NDArray[np.int64]] = []
-    corners: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    lists: dict[str, list[Lists]] = {"face": [NO_LISTS], "tristrips": [NO_LISTS]}
     place = 0
     for element in elements:
-        columns, place = _columns(body, place, element, order)
+        columns, place = _columns(content, place, element, order)
         if element.name == "vertex":
             if not {"x", "y", "z"} <= columns.keys():
                 raise MeshError("its vertices have no x, y and z")
@@ -81,25 +80,22 @@ def read(data: bytes) -> Content:
             if any(isinstance(axis, tuple) for axis in axes):
                 raise MeshError("its vertices have lists for x, y or z")
             points = np.column_stack([np.asarray(axis, dtype=np.float64) for axis in axes])
-        elif element.name in ("face", "tristrips") and element.count:
+        elif element.name in lists and element.count:
             found = [columns[name] for name in _CORNERS if name in columns]
             if not found or not isinstance(found[0], tuple):
                 raise MeshError(f"its element {element.name} has no list vertex_indices")
             flat, counts = found[0]
             flat = text.whole(flat.astype(np.float64), f"a corner in {element.name}")
-            if element.name == "face":
-                corners.append((flat, counts))
-            else:
-                ends = np.cumsum(counts)[:-1]
-                faces.append(strips(np.insert(flat, ends, -1)))
+            lists[element.name].append((flat, counts))
     if points is None:
         raise MeshError("no element vertex in its header")
-    checked(points, np.empty((0, 3), dtype=np.int64))
-    polygons = [triangles(points, flat, counts) for flat, counts in corners]
-    everything = np.vstack([np.empty((0, 3), dtype=np.int64), *polygons, *faces])
-    if place < len(body):
+    polygons, strips = (
+        (np.concatenate([flat for flat, _ in some]), np.concatenate([n for _, n in some]))
+        for some in lists.values()
+    )
+    if place < len(content):
         notes = ("What comes after the last element is not looked at.",)
-    return Content([checked(points, everything)], None, frames.in_text(comments), notes)
+    return Content([body(points, polygons, strips)], None, frames.in_text(comments), notes)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], str, int]:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, check_unpacked, checked, cut_off
+from meshes.content import Content, check_unpacked, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text, xmlfile
 from meshes.packed import base64_bytes, inflated
-from meshes.polygons import strips, triangles
+from meshes.polygons import Lists, body
 
 _TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4",
@@ -49,13 +49,7 @@ def read(data: bytes) -> Content:
     for piece in file.pieces:
         points = file.array(piece, "Points", "", 3 * _count(piece, "NumberOfPoints"))
         vertices = points.astype(np.float64).reshape(-1, 3)
-        checked(vertices, np.empty((0, 3), dtype=np.int64))
-        polygons = file.cells(piece, "Polys")
-        faces = [triangles(vertices, *polygons)]
-        flat, counts = file.cells(piece, "Strips")
-        if len(counts):
-            faces.append(strips(np.insert(flat, np.cumsum(counts)[:-1], -1)))
-        bodies.append(checked(vertices, np.vstack(faces)))
+        bodies.append(body(vertices, file.cells(piece, "Polys"), file.cells(piece, "Strips")))
     return Content(bodies, None, file.frame())
 
 
@@ -139,7 +133,7 @@ class _File:
             raise cut_off(f"{count:,} numbers in {part} {name}".rstrip(), f"{len(values):,}")
         return values[:count]
 
-    def cells(self, piece: _Piece, part: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def cells(self, piece: _Piece, part: str) -> Lists:
         """Corners of a piece's polygons or strips, and how many each has."""
         count = _count(piece, f"NumberOf{part}")
         ends = self.array(piece, part, "offsets", count).astype(np.int64)
