@@ -57,6 +57,27 @@ def check_corners(corners: NDArray[np.int64], vertices: int) -> None:
         raise MeshError(f"a face refers to vertex {worst}, of {vertices} (counted from 0)")
 
 
+def moved(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], T: NDArray[np.float64]
+) -> Arrays:
+    """A body moved by an affine transform ``(4, 4)``; a mirror image is wound outwards again.
+
+    Raises:
+        MeshError: a vertex that is not finite then.
+    """
+    if np.array_equal(T, np.eye(4)):  # the product would round the coordinates
+        return vertices, faces
+    mirrored = np.linalg.det(T[:3, :3]) < 0
+    return checked(vertices @ T[:3, :3].T + T[:3, 3], faces[:, ::-1] if mirrored else faces)
+
+
+def compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
+    """Copies with only the vertices that faces use, in their order."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    return vertices[used], (np.cumsum(used) - 1)[faces]
+
+
 def allowed_unpacked(packed: int) -> int:
     """How many bytes so many packed ones may unpack to."""
     return min(max(UNPACKED, RATIO * packed), SIZE_LIMIT)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from meshes import frames, packed
 from meshes.builtin.catalogue import absent, catalogue, first_use
 from meshes.builtin.shapes import Arrays
-from meshes.content import SIZE_LIMIT, Content, allowed_unpacked, check_unpacked
+from meshes.content import SIZE_LIMIT, Content, allowed_unpacked, check_unpacked, compact
 from meshes.errors import MeshError
 from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
 from meshes.units import UNITS, diagonal, settled
@@ -148,7 +148,7 @@ def read(
         content = _content(path.read_bytes(), path, form)
         frame = frames.agreed(frame, content.frame)
         vertices, faces = _joined(content.bodies, form)
-        used_vertices, used_faces = _compact(vertices, faces)
+        used_vertices, used_faces = compact(vertices, faces)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     except OSError as error:
@@ -248,12 +248,3 @@ def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
     first[order] = order[np.flatnonzero(new)][np.cumsum(new) - 1]
     kept = first == np.arange(len(vertices))
     return vertices[kept], (np.cumsum(kept) - 1)[first][faces]
-
-
-def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
-    """Only the vertices that faces use, in their order."""
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces] = True
-    if used.all():
-        return vertices, faces
-    return vertices[used], (np.cumsum(used) - 1)[faces]

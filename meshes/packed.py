@@ -62,9 +62,13 @@ def base64_bytes(data: bytes) -> bytes:
     Raises:
         MeshError: other characters, or cut off.
     """
-    data = b"".join(data.split())
+    pieces = re.findall(rb"[^=]+={0,2}", b"".join(data.split()))
+    return b"".join(base64_piece(piece) for piece in pieces)
+
+
+def base64_piece(data: bytes) -> bytes:
+    """Bytes written as one piece of base64 without white space; raises as `base64_bytes`."""
     try:
-        pieces = re.findall(rb"[^=]+={0,2}", data)
-        return b"".join(base64.b64decode(piece, validate=True) for piece in pieces)
+        return base64.b64decode(data, validate=True)
     except binascii.Error as error:
         raise MeshError(f"its base64 data is damaged or cut off ({error})") from None

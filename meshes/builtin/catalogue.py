@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -95,31 +96,11 @@ def _packaged(
     return Entry(name, title, make, source, licence, about, None, key)
 
 
-def _skull_closed() -> Arrays:
-    return skull.skull(closed=True)
-
-
-def _skull_coarse() -> Arrays:
-    return skull.skull(skull.COARSE)
-
-
-def _skull_fine() -> Arrays:
-    return skull.skull(skull.FINE)
-
-
-def _skull_fused() -> Arrays:
-    return skull.skull(fused=True)
-
-
-def _skull_precut() -> Arrays:
-    return skull.skull(precut=True)
-
-
 _ENTRIES = (
     _generated(
         "skull-closed",
         "Skull cap, closed",
-        _skull_closed,
+        partial(skull.skull, closed=True),
         "Skull cap, 2 mm thick, without openings on top that a tool could slip through; 92 k "
         "triangles.",
     ),
@@ -132,26 +113,26 @@ _ENTRIES = (
     _generated(
         "skull-coarse",
         "Skull cap, coarse",
-        _skull_coarse,
+        partial(skull.skull, segments=skull.COARSE),
         "The skull cap in 10 k triangles, edges of about 3 mm.",
     ),
     _generated(
         "skull-fine",
         "Skull cap, fine",
-        _skull_fine,
+        partial(skull.skull, segments=skull.FINE),
         "The skull cap in 936 k triangles, edges of about 0.3 mm.",
         slow=True,  # three to four seconds of Boolean operations
     ),
     _generated(
         "skull-fused",
         "Skull cap, fused",
-        _skull_fused,
+        partial(skull.skull, fused=True),
         "The skull cap with its sagittal suture closed: craniosynostosis.",
     ),
     _generated(
         "skull-precut",
         "Skull cap, cut",
-        _skull_precut,
+        partial(skull.skull, precut=True),
         "The skull cap with a 0.6 mm slot along the planned 30 mm sagittal cut.",
     ),
     _generated("cube", "Cube", shapes.cube, "Flat faces, ridges of 90°; 40 mm."),

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from meshes.checks import probe
 from meshes.checks.bodies import Bodies, bodies
 from meshes.checks.topology import Topology, topology
-from meshes.checks.weld import first_of_kind, weld
+from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
+from meshes.content import checked
 from meshes.errors import MeshError
 from meshes.formats.text import worded
 from meshes.meaning import MEANING
@@ -216,7 +217,7 @@ def health(
     say("faces")
     lengths, normals, slimness, areas = _measured(v, f)
     corners = place[f]
-    collapsed = _repeats_a_corner(corners)
+    collapsed = repeats_a_corner(corners)
     degenerate = collapsed | (slimness <= SLIVER)
     note(
         "degenerate faces",
@@ -239,7 +240,7 @@ def health(
     )
 
     say("edges")
-    proper = np.flatnonzero(~_repeats_a_corner(f) & ~copies)
+    proper = np.flatnonzero(~repeats_a_corner(f) & ~copies)
     t = topology(f[proper], len(v))
     solid = bodies(v, f[proper], t)
     loop_lengths = _loop_lengths(v, f, proper, t)
@@ -308,17 +309,11 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike | None) -> tuple[FloatArr
         MeshError: as `health` says.
     """
     v, f = np.asarray(vertices, dtype=np.float64, order="C"), np.asarray(faces)
-    if v.ndim != 2 or v.shape[1] != 3:
-        raise MeshError(f"vertices must have shape (n, 3), not {v.shape}")
-    if f.ndim != 2 or f.shape[1] != 3 or not np.issubdtype(f.dtype, np.integer):
+    if not np.issubdtype(f.dtype, np.integer):
         raise MeshError(f"faces must be integers of shape (m, 3), not {f.dtype} of {f.shape}")
     if len(f) == 0:
         raise MeshError("a mesh without faces")
-    if f.min() < 0 or f.max() >= len(v):
-        raise MeshError(f"faces refer to vertices {f.min()} … {f.max()}, of {len(v)}")
-    if not np.isfinite(v).all():
-        raise MeshError(f"vertex {int(np.argmin(np.isfinite(v).all(axis=1)))} is not finite")
-    return v, np.ascontiguousarray(f, dtype=np.int64)
+    return checked(v, np.ascontiguousarray(f, dtype=np.int64))
 
 
 def _note_edges(
@@ -336,7 +331,7 @@ def _note_edges(
         text = f"{{n}} boundary [loop|loops], {loop_lengths.sum() * 1e3:.4g} mm in all"
         if welded is not None:
             joined = welded[f[proper]]
-            joined = joined[~_repeats_a_corner(joined)]
+            joined = joined[~repeats_a_corner(joined)]
             after = len(topology(joined, len(v)).rim_starts) - 1 if len(joined) else 0
             text += (
                 f"; {after:,} {'is' if after == 1 else 'are'} left once near vertices are welded"
@@ -376,12 +371,6 @@ def _note_edges(
         if len(which):
             ids = proper[np.isin(t.patches, which)]
             note(kind, ids, text, defect=defect, n=len(which))
-
-
-def _repeats_a_corner(corners: IntArray) -> NDArray[np.bool_]:
-    a, b, c = corners.T
-    repeats: NDArray[np.bool_] = (a == b) | (b == c) | (c == a)
-    return repeats
 
 
 def _ends(f: IntArray, proper: IntArray, half: IntArray) -> IntArray:

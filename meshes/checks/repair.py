@@ -12,7 +12,8 @@ from meshes.builtin.shapes import Arrays
 from meshes.checks.bodies import Bodies, bodies
 from meshes.checks.health import NEAR, checked_mesh
 from meshes.checks.topology import Topology, topology
-from meshes.checks.weld import first_of_kind, weld
+from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
+from meshes.content import compact
 from meshes.formats.text import worded
 from vf import Surface
 from vf.closest import SLIVER
@@ -123,8 +124,7 @@ def repair(
     f = place[f]
 
     say("faces")
-    a, b, c = f.T
-    collapsed = (a == b) | (b == c) | (c == a)
+    collapsed = repeats_a_corner(f)
     f = f[~collapsed]
     copies = first_of_kind(f) != np.arange(len(f))
     f = f[~copies]
@@ -155,21 +155,20 @@ def repair(
         left = _left(t, solid, stitches)
     else:
         left = ["nothing: no face had any area"]
-    kept = np.zeros(len(v), dtype=bool)
-    kept[f] = True
+    vertices, faces = compact(v, f)
     welded = int((stands_for != np.arange(len(rows))).sum())
     changes = Changes(
         welded=welded,
         farthest=float(distance.max(initial=0.0)),
         degenerate=degenerate,
         duplicates=int(copies.sum()),
-        unused=len(v) - welded - int(kept.sum()),
+        unused=len(v) - welded - len(vertices),
         flipped=flipped,
         turned_bodies=turned_bodies,
         turned_patches=turned_patches,
         left=tuple(left),
     )
-    return Repaired(v[kept], (np.cumsum(kept) - 1)[f], changes)
+    return Repaired(vertices, faces, changes)
 
 
 def _left(t: Topology, solid: Bodies, stitches: int) -> list[str]:

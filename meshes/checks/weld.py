@@ -100,6 +100,13 @@ def _equal(vertices, v, w):  # type: ignore[no-untyped-def]
     )
 
 
+def repeats_a_corner(corners: IntArray) -> NDArray[np.bool_]:
+    """``(m,)`` faces ``(m, 3)`` with the same corner twice."""
+    a, b, c = corners.T
+    repeats: NDArray[np.bool_] = (a == b) | (b == c) | (c == a)
+    return repeats
+
+
 def first_of_kind(faces: IntArray) -> IntArray:
     """For every face ``(m, 3)`` the first one with the same three corners, in any order."""
     first = np.empty(len(faces), dtype=np.int64)

@@ -84,11 +84,8 @@ def read(data: bytes) -> Content:
 
 def _shape(array: _Array) -> tuple[int, int]:
     sizes = [array.attributes.get(f"Dim{k}", "") for k in range(2)]
-    if array.attributes.get("Dimensionality") != "2" or not all(
-        s.isdecimal() and len(s) < 12 for s in sizes
-    ):
-        raise MeshError(f"an array of {' × '.join(s[:20] for s in sizes)} is no table of threes")
-    if sizes[1] != "3":
+    rows = sizes[0].isdecimal() and len(sizes[0]) < 12
+    if array.attributes.get("Dimensionality") != "2" or not rows or sizes[1] != "3":
         raise MeshError(f"an array of {' × '.join(s[:20] for s in sizes)} is no table of threes")
     return int(sizes[0]), 3
 

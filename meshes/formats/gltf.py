@@ -7,8 +7,6 @@ refused by the name of what is not understood. Textures are never opened.
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
 from pathlib import Path
 from typing import Any
@@ -27,8 +25,10 @@ from meshes.content import (
     check_placed,
     checked,
     cut_off,
+    moved,
 )
 from meshes.errors import MeshError
+from meshes.packed import base64_piece
 from meshes.polygons import strips
 
 MOST_NODES = 100_000
@@ -130,7 +130,7 @@ def _content(header: dict[str, Any], chunk: bytes | None, size: int, folder: Pat
     for mesh, T in placed:
         if mesh not in known:
             known[mesh] = [file.body(primitive) for primitive in meshes[mesh]["primitives"]]
-        bodies += [_moved(vertices, faces, T) for vertices, faces in known[mesh]]
+        bodies += [moved(vertices, faces, T) for vertices, faces in known[mesh]]
     if file.left_out:
         notes.append(f"{file.left_out:,} of its parts are points or lines: no surface.")
     comment = header["asset"].get("generator", "")
@@ -205,15 +205,6 @@ def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
     ]
     T[:3, :3] = np.array(R) * np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
     return T
-
-
-def _moved(vertices: NDArray[np.float64], faces: NDArray[np.int64], T: NDArray[Any]) -> Arrays:
-    if not np.array_equal(T, np.eye(4)):  # moving by nothing would still round
-        vertices = vertices @ T[:3, :3].T + T[:3, 3]
-        if np.linalg.det(T[:3, :3]) < 0:  # a mirror turns the winding inside out
-            faces = faces[:, ::-1]
-        checked(vertices, faces)
-    return vertices, faces
 
 
 def _index(value: Any, among: list[Any], what: str) -> int:
@@ -315,7 +306,6 @@ class _File:
     def _changed(self, values: NDArray[Any], sparse: dict[str, Any]) -> NDArray[np.generic]:
         """A copy with the rows that a sparse accessor gives."""
         count, width = values.shape
-        count, width = values.shape
         rows = _count(sparse["count"], "a count")
         where, what = sparse["indices"], sparse["values"]
         index = self._view(
@@ -378,12 +368,8 @@ class _File:
         """The bytes that a URI holds or names; only beside or below the file's folder."""
         if uri.startswith("data:"):
             kind, _, body = uri.partition(",")
-            if not kind.endswith(";base64"):
-                return unquote_to_bytes(body)
-            try:
-                return base64.b64decode(unquote_to_bytes(body), validate=True)
-            except binascii.Error as error:
-                raise MeshError(f"its base64 data is damaged or cut off ({error})") from None
+            content = unquote_to_bytes(body)
+            return base64_piece(content) if kind.endswith(";base64") else content
         name = unquote(uri)
         shown = name[:60]
         # Links are followed first, so that they cannot lead out either.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.builtin.shapes import Arrays
-from meshes.content import Content, check_placed, check_unpacked, checked
+from meshes.content import Content, check_placed, check_unpacked, checked, moved
 from meshes.errors import MeshError
 from meshes.formats import text, xmlfile
 
@@ -184,11 +184,6 @@ def _cost(
 
 def _place(model: _Model, key: Key, T: Matrix, bodies: list[Arrays]) -> None:
     if key in model.meshes:
-        vertices, faces = model.meshes[key]
-        if not np.array_equal(T, np.eye(4)):  # moving by nothing would still round
-            vertices = vertices @ T[:3, :3].T + T[:3, 3]
-            if np.linalg.det(T[:3, :3]) < 0:  # a mirror turns the winding inside out
-                faces = faces[:, ::-1]
-        bodies.append((vertices, faces))
+        bodies.append(moved(*model.meshes[key], T))
     for part, T_key_part in model.components.get(key, []):
         _place(model, part, T @ T_key_part, bodies)

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from meshes.builtin.shapes import Arrays
 from meshes.checks.topology import topology
+from meshes.content import compact
 from meshes.errors import MeshError
 from meshes.volume.cubes import triangles
 from meshes.volume.grid import FloatArray, Volume, extent, planes_at_once
@@ -90,9 +91,7 @@ def surface(
     if largest:
         say("largest piece")
         faces = _largest(vertices, faces)
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces] = True
-    return vertices[used], np.ascontiguousarray((np.cumsum(used) - 1)[faces])
+    return compact(vertices, faces)
 
 
 def _finite(volume: Volume, level: float) -> tuple[NDArray[Any], float, float]:

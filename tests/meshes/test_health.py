@@ -363,7 +363,7 @@ def test_every_finding_has_a_meaning_and_json() -> None:
         (np.zeros((3, 3)), [[0.0, 1.0, 2.0]], "float64"),
         (np.zeros((3, 3)), np.empty((0, 3), int), "without faces"),
         (np.zeros((3, 3)), [[0, 1, 7]], "7, of 3"),
-        (np.full((3, 3), np.nan), [[0, 1, 2]], "vertex 0 is not finite"),
+        (np.full((3, 3), np.nan), [[0, 1, 2]], "the first is vertex 0"),
     ],
 )
 def test_no_mesh_no_report(vertices: np.ndarray, faces: object, reason: str) -> None:
