@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -133,7 +134,7 @@ def check_size(shape: tuple[int, ...]) -> None:
         raise MeshError(
             f"its size is {_times(shape)} voxels, not a volume of two and more in each direction"
         )
-    count = int(np.prod(np.array(shape, dtype=object)))
+    count = math.prod(shape)
     if count > MOST_VOXELS:
         raise MeshError(
             f"its {_times(shape)} are {count:,} voxels, more than the {MOST_VOXELS:,} allowed"

@@ -68,11 +68,11 @@ def read(file: Path, volume: int | None) -> Stored:
         raise MeshError("its voxels are in another file (.img), which is not beside it")
     values = voxels(
         image,
-        0 if compression(image) else offset,
+        0,
         dtype,
         shape[:3],
         packed=compression(image),
-        inner=offset if compression(image) else 0,
+        skip=offset,
         volumes=volumes,
         volume=one_of(volumes, volume, "volumes"),
     )
@@ -107,14 +107,13 @@ def read_mgh(file: Path, volume: int | None) -> Stored:
     except KeyError:
         raise MeshError(f"its header names data of type {int(header['type'])}") from None
     shape = tuple(int(size) for size in header["dims"])
-    packed = compression(file)
     values = voxels(
         file,
-        0 if packed else _MGH_DATA,
+        0,
         dtype.newbyteorder(">"),
         shape[:3],
-        packed=packed,
-        inner=_MGH_DATA if packed else 0,
+        packed=compression(file),
+        skip=_MGH_DATA,
         volumes=_volumes(shape),
         volume=one_of(_volumes(shape), volume, "volumes"),
     )

@@ -212,8 +212,8 @@ def test_small_files_that_expand_are_refused_by_their_headers(
             inflated.append(len(piece))
             yield piece
 
-    pieces = payload.pieces
-    monkeypatch.setattr(payload, "pieces", counted)
+    pieces = payload.chunks
+    monkeypatch.setattr(payload, "chunks", counted)
     assert not volume.read(nifti("f.nii.gz", [4, 4, 4])).values.any()
     assert sum(inflated) < 20_000_000
     assert max(inflated) <= 1 << 20
