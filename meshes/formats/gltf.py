@@ -1,8 +1,8 @@
-"""Reading glTF 2.0 and GLB: the triangles of the scene that a file shows, and nothing else.
+"""Reading glTF 2.0 and GLB: the triangles of the default scene.
 
-An own reader: trimesh takes whole numbers for metres, leaves out fans and sparse changes, and does
-not look at the extensions that a file requires. Here a file is read as its standard says, or
-refused by the name of what is not understood. Textures are never opened.
+An own reader: trimesh does not scale normalized integers, and ignores triangle fans, sparse
+accessors and required extensions. A file with a feature that is not supported is refused by the
+name of that feature. Textures are never opened.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from meshes.polygons import strips
 
 MOST_NODES = 100_000
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-# Extensions that may be required and do not move a vertex: looks, light, and names.
+# Required extensions that do not move a vertex: materials, lights, metadata.
 HARMLESS = (
     "KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp",
     "EXT_texture_", "EXT_lights_", "EXT_mesh_features", "EXT_structural_metadata", "MSFT_texture_",
     "KHR_node_visibility", "KHR_technique", "KHR_animation_", "EXT_materials_",
 )  # fmt: skip
-PLACES_MORE = ("EXT_mesh_gpu_instancing",)  # also where it is not required: there is more to see
+PLACES_MORE = ("EXT_mesh_gpu_instancing",)  # refused also where it is not required
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -52,8 +52,8 @@ def read(data: bytes, kind: str, folder: Path) -> Content:
     Buffers in other files are opened beside or below ``folder``, and nowhere else.
 
     Raises:
-        MeshError: cut off, damaged, or in need of something that is not understood; or so many
-            nodes, vertices or triangles, each counted as often as it is placed.
+        MeshError: cut off, damaged, with a feature that is not supported, or too many nodes,
+            vertices or triangles, each counted as often as it is placed.
     """
     header, chunk = _parts(data) if kind == "glb" else (_json(data), None)
     try:
@@ -119,7 +119,7 @@ def _content(header: dict[str, Any], chunk: bytes | None, size: int, folder: Pat
     costs = [[file.cost(primitive) for primitive in mesh["primitives"]] for mesh in meshes]
     totals = [(len(cost), sum(a for a, _ in cost), sum(b for _, b in cost)) for cost in costs]
     parts, triangles, items = (sum(totals[mesh][k] for mesh, _T in placed) for k in range(3))
-    # A triangle takes two bytes at the least, as the next corner of a strip.
+    # A triangle takes at least two bytes: one more index of a strip.
     check_placed(triangles, file.size // 2)
     if items > 4 * allowed_placed(file.size // 2):
         raise MeshError(f"claims {items:,} vertices and corners, more than is allowed")
@@ -149,7 +149,7 @@ def _check_extensions(header: dict[str, Any]) -> None:
 
 
 def _placed(header: dict[str, Any]) -> tuple[list[tuple[int, NDArray[np.float64]]], list[str]]:
-    """Each placed mesh with its ``T_scene_node``, and what to tell about it."""
+    """Each placed mesh with its ``T_scene_node``, and notes."""
     nodes, notes = header.get("nodes", []), []
     if len(nodes) > MOST_NODES:
         raise MeshError(f"{len(nodes):,} nodes are more than the {MOST_NODES:,} allowed")
@@ -220,7 +220,7 @@ def _count(value: Any, what: str) -> int:
 
 
 class _File:
-    """Buffers and the arrays in them; nothing is made before its size was looked at."""
+    """Buffers and the arrays in them; sizes are checked before arrays are allocated."""
 
     def __init__(
         self, header: dict[str, Any], chunk: bytes | None, size: int, folder: Path
@@ -233,7 +233,7 @@ class _File:
         self.left_out = 0
 
     def cost(self, primitive: dict[str, Any]) -> tuple[int, int]:
-        """Triangles of a primitive, and the numbers it reads; counts only."""
+        """Numbers of triangles and of values of a primitive, from its counts alone."""
         accessors = self._header.get("accessors", [])
         mode = primitive.get("mode", _TRIANGLES)
         if mode in _POINTS_AND_LINES or "POSITION" not in primitive["attributes"]:
@@ -280,7 +280,7 @@ class _File:
         raise MeshError(f"a primitive of unknown mode {str(mode)[:20]}")
 
     def _array(self, index: Any, wanted: str) -> NDArray[np.generic]:
-        """The numbers of an accessor, ``(count, width)``, whole ones normalized where it says."""
+        """The values of an accessor, ``(count, width)``; normalized integers are scaled."""
         accessors = self._header.get("accessors", [])
         accessor = accessors[_index(index, accessors, "accessor")]
         if accessor["type"] != wanted:
@@ -304,7 +304,7 @@ class _File:
         return values
 
     def _changed(self, values: NDArray[Any], sparse: dict[str, Any]) -> NDArray[np.generic]:
-        """A copy with the rows that a sparse accessor gives."""
+        """A copy with the rows of a sparse accessor replaced."""
         count, width = values.shape
         rows = _count(sparse["count"], "a count")
         where, what = sparse["indices"], sparse["values"]
@@ -328,7 +328,7 @@ class _File:
     def _view(
         self, index: Any, part: dict[str, Any], kind: np.dtype[Any], count: int, width: int
     ) -> NDArray[np.generic]:
-        """``count`` rows of ``width`` numbers of a buffer view; a look, not a copy."""
+        """``count`` rows of ``width`` numbers of a buffer view, not copied."""
         views = self._header.get("bufferViews", [])
         view = views[_index(index, views, "bufferView")]
         if any(name in view.get("extensions", {}) for name in COMPRESSED):
@@ -365,14 +365,14 @@ class _File:
         return self._buffers[index]
 
     def _from(self, uri: str) -> bytes:
-        """The bytes that a URI holds or names; only beside or below the file's folder."""
+        """The bytes that a data URI holds, or of a file in or below the mesh file's folder."""
         if uri.startswith("data:"):
             kind, _, body = uri.partition(",")
             content = unquote_to_bytes(body)
             return base64_piece(content) if kind.endswith(";base64") else content
         name = unquote(uri)
         shown = name[:60]
-        # Links are followed first, so that they cannot lead out either.
+        # Symbolic links are resolved before the check.
         file = (self._folder / name).resolve() if "\0" not in name else self._folder
         if "://" in name or not file.is_relative_to(self._folder):
             raise MeshError(f"refers to {shown!r}, which is not beside it: not opened")

@@ -1,7 +1,7 @@
 """Reading PLY: text and binary, any properties, polygons and triangle strips.
 
-An own reader, because trimesh reads a text file that is cut off as a smaller mesh, no polygons of
-several sizes from a binary one, and strips not at all.
+An own reader: trimesh accepts a truncated text file as a smaller mesh, and reads neither strips nor
+binary polygons of several sizes.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def read(data: bytes) -> Content:
     notes: tuple[str, ...] = ()
     if order == "":
         notes = text.open_end(data)
-        # From here on as if it were binary, of one type.
+        # Converted to binary of one type.
         plain = text.required(data[start:])
         numbers = text.numbers(plain, "after the header")
         if not _fits(numbers, elements):
@@ -103,7 +103,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
     first = re.match(rb"(?:\xef\xbb\xbf)?\s*ply[ \t]*(\r\n|\n|\r)", data[:100], re.IGNORECASE)
     if first is None:
         raise MeshError("does not begin with a line 'ply'")
-    # Of the data's first bytes none may be taken for a part of the last line's end.
+    # The header's own line end: the data may begin with bytes that look like one.
     end = re.escape(first.group(1))
     odd = rb"\r?" if first.group(1) == b"\n" else b""
     last = end + rb"[ \t]*end_header[ \t]*" + odd + end
@@ -131,7 +131,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
                     raise ValueError
             elif kind == "property":
                 elements[-1].properties.append(_property(words[1:]))
-            # Anything else is a comment that a program has broken into two lines.
+            # Other lines are ignored: some programs break comments into two lines.
         except (IndexError, ValueError, KeyError) as error:
             if isinstance(error, MeshError):
                 raise
@@ -149,7 +149,7 @@ def _property(words: list[str]) -> _Property:
 
 
 def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
-    """Whether a text has as many numbers as its header says, or fewer."""
+    """Whether a text has no more numbers than its header says."""
     place, end = 0, len(numbers)
     for element in elements:
         lists = [p.count is not None for p in element.properties]
@@ -159,7 +159,7 @@ def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
         for _ in range(element.count):
             for is_list in lists:
                 if place >= end:
-                    return True  # cut off, which is told where it is read
+                    return True  # truncated: `_columns` raises
                 length = numbers[place] if is_list else 0.0
                 if not (length >= 0 and length == int(length)):
                     return False
@@ -168,9 +168,9 @@ def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
 
 
 def _rows(plain: bytes, elements: list[_Element]) -> NDArray[np.float64]:
-    """The numbers that are looked for, of lines that hold more than their header says.
+    """The numbers of the needed properties, from lines with more numbers than the header says.
 
-    Of each element only the properties up to the last of them stay.
+    Properties after the last needed one are removed from each element.
     """
     lines = [line for line in plain.split(b"\n") if line.strip()]
     if len(lines) < sum(element.count for element in elements):
@@ -231,7 +231,7 @@ def _columns(
 def _row(
     body: bytes, place: int, properties: list[_Property], order: str
 ) -> tuple[np.dtype[np.void] | None, dict[int, int]]:
-    """How the first row lies in memory, and its lists' lengths; None where it is cut off."""
+    """The dtype of the first row, None where it is truncated, and the lengths of its lists."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     lengths: dict[int, int] = {}
     for k, p in enumerate(properties):
@@ -248,7 +248,7 @@ def _row(
 
 
 def _length(body: bytes, place: int, kind: str) -> int | None:
-    """A list's length; None where the data ends before it."""
+    """A list's length; None where the data ends before."""
     if place + np.dtype(kind).itemsize > len(body):
         return None
     length = float(np.frombuffer(body, kind, count=1, offset=place)[0])
@@ -260,7 +260,7 @@ def _length(body: bytes, place: int, kind: str) -> int | None:
 def _walked(
     body: bytes, place: int, element: _Element, order: str, short: MeshError
 ) -> tuple[dict[str, Column], int]:
-    """`_columns` row by row, as it has to be where lists differ in length."""
+    """`_columns` row by row, for lists of different lengths."""
     letters = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f",
                "f8": "d", "i8": "q", "u8": "Q"}  # fmt: skip
     places: list[list[int]] = [[] for _ in element.properties]

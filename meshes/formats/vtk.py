@@ -48,7 +48,7 @@ def read(data: bytes) -> Content:
         elif kind in _END:
             break
         else:
-            raise MeshError(f"{text.shown(b' '.join(words))} is not understood")
+            raise MeshError(f"{text.quoted(b' '.join(words))} is not understood")
     if points is None:
         raise cut_off("points")
     polygons, strips = (cells.get(kind, NO_LISTS) for kind in ("polygons", "triangle_strips"))
@@ -56,7 +56,7 @@ def read(data: bytes) -> Content:
 
 
 class _File:
-    """A place in the file, and the numbers that follow it."""
+    """The file's data and the position of the reader."""
 
     def __init__(self, data: bytes) -> None:
         lines = re.match(
@@ -96,13 +96,13 @@ class _File:
 
     def count(self, words: list[bytes], k: int) -> int:
         if len(words) <= k or not words[k].isdigit() or len(words[k]) > 18:
-            raise MeshError(f"{text.shown(b' '.join(words))}: a count is missing: damaged")
+            raise MeshError(f"{text.quoted(b' '.join(words))}: a count is missing: damaged")
         return int(words[k])
 
     def type(self, words: list[bytes], k: int) -> str:
         name = words[k].decode("latin-1").lower() if len(words) > k else ""
         if name not in _TYPES:
-            raise MeshError(f"{text.shown(b' '.join(words))}: unknown type of numbers")
+            raise MeshError(f"{text.quoted(b' '.join(words))}: unknown type of numbers")
         return _TYPES[name]
 
     def numbers(self, count: int, kind: str, what: str) -> NDArray[np.generic]:
@@ -158,7 +158,7 @@ class _File:
         return values.astype(np.int64)
 
     def field(self, arrays: int) -> str | None:
-        """Pass by the arrays of field data; the frame, where one of them is called SPACE."""
+        """Skip the arrays of field data; return the frame if one is called SPACE."""
         space = None
         for _ in range(arrays):
             words = self.line()
@@ -195,6 +195,6 @@ class _File:
             pass
 
     def notes(self) -> tuple[str, ...]:
-        """A note where a text ends with its last corner."""
+        """A note where a text ends with its last number."""
         at_end = self._text and not self._data[self._place :].strip()
         return text.open_end(self._data) if at_end else ()
