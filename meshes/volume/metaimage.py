@@ -1,6 +1,6 @@
 """MetaImage volumes of ITK: .mha, and .mhd with a data file beside it.
 
-Read here: the library that reads it, SimpleITK, is large, and its header is a list of lines.
+An own reader: SimpleITK, which reads it, is a large dependency.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def is_metaimage(start: bytes) -> bool:
 
 
 def read(file: Path, volume: int | None) -> Stored:
-    """A MetaImage; its coordinates are LPS, as ITK writes them, and are turned to RAS.
+    """A MetaImage; its coordinates are LPS and become RAS.
 
     Raises:
         MeshError: in one line.
@@ -85,14 +85,14 @@ def read(file: Path, volume: int | None) -> Stored:
     directions = next((fields[name] for name in _DIRECTIONS if name in fields), "")
     if directions:
         axes = np.array(_numbers(directions, dimension * dimension)).reshape(dimension, dimension)
-        T[:3, :3] = axes[:3, :3].T  # one axis after the other
+        T[:3, :3] = axes[:3, :3].T  # stored axis by axis
     spacing = fields.get("elementspacing", fields.get("elementsize", ""))
     notes = () if spacing else ("the file does not say how large its voxels are: 1 mm is taken",)
     if spacing:
         T[:3, :3] *= _numbers(spacing, dimension)[:3]
     if origin := next((fields[name] for name in _ORIGINS if name in fields), ""):
         T[:3, 3] = _numbers(origin, dimension)[:3]
-    # RAI: the axes run from right, anterior and inferior, which is what LPS coordinates do.
+    # RAI: the axes run from right, anterior and inferior, as in LPS.
     known = directions or fields.get("anatomicalorientation", "").upper() == "RAI"
     if not known:
         notes = (*notes, GUESS.format("the file"))
@@ -100,7 +100,7 @@ def read(file: Path, volume: int | None) -> Stored:
 
 
 def _header(file: Path) -> tuple[dict[str, str], int]:
-    """Names in lower case with their texts, and where the header ends."""
+    """Fields by name in lower case, and the header's length."""
     with open(file, "rb") as stream:
         text = stream.read(_MOST_HEADER)
     last = re.search(rb"^[ \t]*ElementDataFile[ \t]*=[^\n]*(\n|\Z)", text, re.M | re.I)

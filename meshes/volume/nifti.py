@@ -1,4 +1,4 @@
-"""NIfTI, Analyze and FreeSurfer MGH volumes: nibabel reads their headers, `payload` the voxels."""
+"""NIfTI, Analyze and FreeSurfer MGH volumes; nibabel parses the headers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from meshes.volume.payload import compression, head, voxels
 
 _SINGLE = (b"n+1\0", b"n+2\0")
 _PAIR = (b"ni1\0", b"ni2\0")
-_MM = {"meter": 1e3, "micron": 1e-3}  # "unknown" is millimetres in practice
+_MM = {"meter": 1e3, "micron": 1e-3}  # others, "unknown" included: millimetres
 _MGH_DATA = 284  # offset of the voxels
 
 
@@ -23,7 +23,7 @@ def is_nifti(start: bytes) -> bool:
 
 
 def is_mgh(start: bytes) -> bool:
-    """Whether the first bytes are those of FreeSurfer's MGH: version 1, and sizes that can be."""
+    """Whether the first bytes are those of FreeSurfer's MGH: version 1 and positive sizes."""
     sizes = np.frombuffer(start[4:20].ljust(16, b"\0"), dtype=">i4")
     return start[:4] == b"\0\0\0\1" and bool((sizes > 0).all())
 
@@ -63,7 +63,7 @@ def read(file: Path, volume: int | None) -> Stored:
     single = magic in _SINGLE
     offset = int(header.get_data_offset())
     if offset < (len(start[:540]) if second else 348) * single:
-        offset = 544 if second else 352  # zero in some files, meaning: after the header
+        offset = 544 if second else 352  # zero in some files: directly after the header
     if image == headers and not single:
         raise MeshError("its voxels are in another file (.img), which is not beside it")
     values = voxels(

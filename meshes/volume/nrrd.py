@@ -1,7 +1,6 @@
 """NRRD volumes (.nrrd, .nhdr with a data file beside it) and 3D Slicer's segmentations in them.
 
-Read here rather than with pynrrd, whose reader inflates without bound and drops letters that are
-not ASCII from segments' names; the voxels' part is shared with the other formats.
+An own reader: pynrrd decompresses without a limit and drops non-ASCII letters of segment names.
 """
 
 from __future__ import annotations
@@ -112,7 +111,7 @@ def read(file: Path, volume: int | None) -> Stored:
 
 
 def _header(file: Path) -> tuple[dict[str, str], dict[str, str], int]:
-    """Fields (lower case, without spaces) and keys with their texts, and where the header ends."""
+    """Fields (lower case, without spaces), keys, and the header's length."""
     with open(file, "rb") as stream:
         text = stream.read(_MOST_HEADER)
     end = re.search(rb"\r?\n\r?\n", text)
@@ -132,7 +131,7 @@ def _header(file: Path) -> tuple[dict[str, str], dict[str, str], int]:
 
 
 def _data(file: Path, fields: dict[str, str], start: int) -> tuple[Path, int]:
-    """The file with the voxels, and where they begin in it, bytes to skip not counted."""
+    """The file with the voxels, and their offset before ``byteskip``."""
     encoding = required(fields, "encoding").lower()
     if encoding not in (*_PACKED, *_TEXT):
         choices = ", ".join((*_PACKED, *_TEXT))
@@ -178,7 +177,7 @@ def _space_axes(
         found = [axis for axis, kind in enumerate(kinds) if kind in _SPACE_KINDS]
         if len(found) == 3:
             return found
-    return [0, 1, 2][: len(sizes)]  # a series comes last where nothing says otherwise
+    return [0, 1, 2][: len(sizes)]  # by default a series is the last axis
 
 
 def _placed(
@@ -205,7 +204,7 @@ def _placed(
 
 
 def _names(keys: dict[str, str], layer: int) -> tuple[tuple[int, str], ...]:
-    """The labels of a layer of a segmentation of 3D Slicer, with their names."""
+    """Labels and names of a layer of a 3D Slicer segmentation."""
     found = []
     for key, value in keys.items():
         if match := re.fullmatch(r"(Segment\d+)_LabelValue", key):

@@ -1,4 +1,4 @@
-"""The voxels of a file as it stores them: raw or compressed, one volume of several, counted."""
+"""The voxels of a file: raw, compressed or text, one volume of several."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from meshes.errors import MeshError
 from meshes.volume.grid import MOST_BYTES, check_size
 
 _CHUNK = 1 << 20
-_MOST_AFTER = 16 << 20  # bytes after the voxels that are looked through for the checksum
+_MOST_AFTER = 16 << 20  # [byte] decompressed after the voxels at most, to reach the checksum
 _MAGIC = {"gzip": b"\x1f\x8b", "bzip2": b"BZh"}
 
 
 def compression(file: Path) -> str:
-    """ "gzip" or "", by the file's first bytes: names do not always tell."""
+    """ "gzip" or "", by the file's first bytes."""
     with open(file, "rb") as stream:
         return "gzip" if stream.read(2) == _MAGIC["gzip"] else ""
 
 
 def head(file: Path, length: int) -> bytes:
-    """The first bytes of a file, inflated if it is gzipped: ``length`` or fewer."""
+    """The first ``length`` bytes of a file or fewer, decompressed if it is gzipped."""
     found = b""
     for piece in chunks(file, 0, compression(file)):
         found += piece
@@ -37,9 +37,9 @@ def head(file: Path, length: int) -> bytes:
 
 
 def chunks(file: Path, start: int, packed: str) -> Iterator[bytes]:
-    """The bytes from ``start`` on, inflated, at most 1 MiB at a time.
+    """The bytes from ``start`` on, decompressed, at most 1 MiB at a time.
 
-    ``packed`` is "" (as they stand), "gzip" (zlib is told from it by its first bytes) or "bzip2".
+    ``packed`` is "", "gzip" (zlib data is recognised) or "bzip2".
 
     Raises:
         MeshError: the compressed bytes are damaged or end early.
@@ -63,7 +63,7 @@ def chunks(file: Path, start: int, packed: str) -> Iterator[bytes]:
                     yield piece
             except (zlib.error, OSError, EOFError):
                 raise MeshError("what is compressed in it is damaged") from None
-            # Another part may follow, or bytes that are none of it.
+            # Another member may follow, or other bytes.
             rest = engine.unused_data + stream.read(_CHUNK)
             if not rest.startswith(magic):
                 return
@@ -108,8 +108,8 @@ def voxels(
     Args:
         start: offset [byte] of the stored data in the file.
         skip: bytes before the voxels in that data, once it is inflated.
-        volumes, volume: how many the file promises, and which one is wanted.
-        interleaved: the volumes' values stand together at each voxel, not one volume after another.
+        volumes, volume: their number in the file, and the index of the one to read.
+        interleaved: the volumes' values follow each other at each voxel.
 
     Raises:
         MeshError: too large, damaged, or fewer bytes than promised.
@@ -138,7 +138,7 @@ def voxels(
                 piece, np.uint8, high - low, low - position
             )
         position += len(piece)
-        # To the end of what is compressed, where its checksum is.
+        # On to the end of the compressed data, where its checksum is.
         if position >= end + (_MOST_AFTER if packed else 0):
             break
     if position < end:
