@@ -8,7 +8,7 @@ from app import interrupts
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line (default: this process's words); returns the exit code."""
+    """Run the command line (default: `sys.argv`); returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
     interrupts.arm()
     try:

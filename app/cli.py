@@ -1,4 +1,4 @@
-"""What the words of a command line ask for: the page, a command, or one line on what is wrong."""
+"""Dispatches the command line: starts the page, runs a command, or prints one line of error."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ vf-sandbox COMMAND --help tells more of a command, vf-sandbox --version the vers
 
 
 def run(words: list[str]) -> int:
-    """Do it; returns the exit code.
+    """Run the command line `words`; returns the exit code.
 
     Raises:
-        KeyboardInterrupt: it was interrupted; that has been said.
+        KeyboardInterrupt: interrupted; the message has been printed.
     """
     prepare()
     program = "vf-sandbox"
@@ -57,16 +57,16 @@ def run(words: list[str]) -> int:
 
 
 def _page(words: list[str]) -> int:
-    """Check all that can be checked at once, then start."""
+    """Check the options before the libraries are imported, then start the page."""
     from app.serving import serve
 
-    options, scenario = _wanted(words)
+    options, scenario = _parsed(words)
     check_mesh(options.mesh)
     return serve(options, scenario)
 
 
-def _wanted(words: list[str]) -> tuple[Options, Scenario | None]:
-    """What the words say, where they say nothing the scenario they name."""
+def _parsed(words: list[str]) -> tuple[Options, Scenario | None]:
+    """Options from the words; the defaults are those of the scenario they name, if any."""
     options = parse_as(Options, "vf-sandbox", words, ABOUT)
     if options.scenario is None:
         return options, None

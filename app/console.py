@@ -1,4 +1,4 @@
-"""What commands print: on any terminal, in any encoding, in 80 columns, into any pipe."""
+"""Output of the commands: any terminal width and encoding, and pipes that close early."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.progress import Progress, ProgressColumn
 from rich.table import Table
 
 GAP = 2  # between two columns
-WORDS = 30  # width that a column of words is given before another part of the table is begun
+WORDS = 30  # least width of a text column before the table is split into parts
 _PLAIN = {
     "×": "x", "·": "*", "µ": "u", "μ": "u", "±": "+-", "–": "-", "—": "-", "−": "-", "→": "->",
     "…": "...", "≥": ">=", "≤": "<=", "°": " deg", "⌀": "dia. ", "✓": "ok", "✗": "x", "“": '"',
@@ -25,14 +25,14 @@ _PLAIN = {
 
 
 def prepare() -> None:
-    """Let nothing that is printed fail for its letters, whatever the output's encoding has."""
-    codecs.register_error("plain", _in_plain_letters)
+    """Replace characters that the output's encoding lacks, instead of raising an error."""
+    codecs.register_error("plain", _to_ascii)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="plain")
 
 
-def _in_plain_letters(error: UnicodeError) -> tuple[str, int]:
+def _to_ascii(error: UnicodeError) -> tuple[str, int]:
     assert isinstance(error, UnicodeEncodeError)
     plain = ""
     for letter in error.object[error.start : error.end]:
@@ -43,17 +43,16 @@ def _in_plain_letters(error: UnicodeError) -> tuple[str, int]:
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Leave it to `closing`, which knows of all that is printed."""
-        raise BrokenPipeError
+        raise BrokenPipeError  # handled by `closing`, which covers `print` too
 
 
 def console(stderr: bool = False, soft_wrap: bool = False) -> Console:
-    """A console that colours nothing by itself; as wide as the terminal, COLUMNS, or 80."""
+    """A console without automatic highlighting; as wide as the terminal, COLUMNS, or 80."""
     return _Console(highlight=False, stderr=stderr, soft_wrap=soft_wrap)
 
 
 def progress(*columns: ProgressColumn | str, refresh: float = 10) -> Progress:
-    """A progress bar on a terminal's stderr, which goes away in the end; none in a log."""
+    """A progress bar on stderr, removed at the end; nothing if stderr is not a terminal."""
     out = console(stderr=True)
     return Progress(
         *columns, console=out, transient=True, disable=not out.is_terminal,
@@ -67,7 +66,7 @@ def count(number: int, thing: str, things: str | None = None) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """An error in one line for a user: of a file its name and why, without a number of errno."""
+    """An error in one line for a user; for a file its name and the reason, without the errno."""
     if isinstance(error, OSError) and error.strerror:
         name = error.filename
         why = error.strerror[:1].lower() + error.strerror[1:]
@@ -77,7 +76,7 @@ def reason(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """Heading of a column; `left`: of words, which may be broken into lines, not of numbers."""
+    """Heading of a column; `left`: a text column, left-aligned and wrapped; else numbers."""
 
     name: str
     left: bool = False
@@ -91,12 +90,12 @@ def show_table(
     labels: int = 1,
     title: str | None = None,
 ) -> None:
-    """Print a table in full: where it is too wide, in parts that repeat the first columns.
+    """Print a table; one that is too wide is split into parts that repeat the label columns.
 
     Args:
         rows: cells, as markup of rich.
-        labels: how many columns say what a row is about; these are repeated.
-        title: a line or more above.
+        labels: number of leading columns that identify a row and are repeated in each part.
+        title: printed above.
     """
     if title:
         out.print(title)
@@ -117,7 +116,7 @@ def show_table(
 def parts(
     out: Console, columns: Sequence[Column], rows: Sequence[Sequence[str]], labels: int
 ) -> list[list[int]]:
-    """Which columns stand beside each other, so that each part is no wider than the console."""
+    """Indices of the columns of each part, so that no part is wider than the console."""
     widths = [_width(out, column, [row[k] for row in rows]) for k, column in enumerate(columns)]
     found: list[list[int]] = []
     for k in range(labels, len(columns)):
@@ -130,7 +129,7 @@ def parts(
 
 
 def _width(out: Console, column: Column, cells: Sequence[str]) -> int:
-    """What a column needs: numbers all of it, words enough not to be a column of single words."""
+    """Width of a column: numbers are never wrapped; text may be wrapped at `WORDS` or more."""
     sizes = [out.measure(text) for text in (escape(column.name), *cells)]
     most = max(size.maximum for size in sizes)
     return min(most, max(WORDS, *(size.minimum for size in sizes))) if column.left else most
@@ -138,10 +137,10 @@ def _width(out: Console, column: Column, cells: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def closing() -> Iterator[None]:
-    """Whoever reads the output may stop: what is not read then is not printed, nor complained of.
+    """Flush the output at the end; a closed pipe (`… | head`) is no error.
 
     Raises:
-        SystemExit: 141, as of a program that the system ends for that.
+        SystemExit: the pipe was closed; 141, the shell's code for SIGPIPE.
     """
     try:
         yield
@@ -149,13 +148,13 @@ def closing() -> Iterator[None]:
             if stream is not None:
                 stream.flush()
     except BrokenPipeError:
-        _forget_output()
+        _discard_output()
         raise SystemExit(141) from None
 
 
-def _forget_output() -> None:
-    """What is left in the buffers goes nowhere, instead of failing at the very end."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+def _discard_output() -> None:
+    """Redirect the output to the null device, so that the interpreter's last flush succeeds."""
+    null = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
-            os.dup2(nowhere, stream.fileno())
+            os.dup2(null, stream.fileno())

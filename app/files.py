@@ -1,4 +1,4 @@
-"""Names of files that users choose, and files that are moved without writing over another."""
+"""Safe file names from user input, unused names, and renaming that overwrites nothing."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
 
-LONGEST = 120  # of a name [byte]; file systems allow 255, and numbers and suffixes come behind
+LONGEST = 120  # of a name [byte]; file systems allow 255, numbers and suffixes are appended
 _NOT_IN_NAMES = '<>:"|?*'  # on some file system or other
 
 
 def harmless(name: str, fallback: str) -> str:
-    """The last part of a path from any system, in its own script, to be used as a file's name.
+    """The last component of a path from any system, as a file name valid on every system.
 
-    What cannot be seen or is not in names everywhere becomes `_`; the end of a long name is kept.
-    `fallback`: where nothing is left.
+    Unprintable and reserved characters become `_`; a long name is shortened at its beginning.
+    `fallback`: the name if nothing is left.
     """
     last = re.split(r"[/\\]", unicodedata.normalize("NFC", name))[-1]
     seen = (" " if unicodedata.category(c) == "Zs" else c for c in last)
@@ -27,24 +27,24 @@ def harmless(name: str, fallback: str) -> str:
     if not clean.strip("_ "):
         return fallback
     short = clean.encode()[-LONGEST:].decode(errors="ignore")
-    # A letter's accents, which may be characters of their own, do not begin a name.
+    # Do not begin with a combining character whose base letter was cut off.
     while short != clean and short and unicodedata.combining(short[0]):
         short = short[1:]
     return short.strip() or fallback
 
 
 def typed(name: str, fallback: str) -> str:
-    """A name as somebody typed it, `harmless`; a slash in it begins no path, and becomes `_`."""
+    """`harmless` for a name that a user typed: a slash is part of the name and becomes `_`."""
     return harmless(re.sub(r"[/\\]", "_", name), fallback)
 
 
 def shown(name: str) -> str:
-    """A name or path as it may stand in a message: of one line, and nothing in it acts."""
+    """A name or path for a message: control characters are replaced."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
 
 
 def numbered(path: Path) -> Iterator[Path]:
-    """The path, and the same with 2, 3, … behind its stem."""
+    """The path, then the path with -2, -3, … appended to its stem."""
     for number in itertools.count(1):
         if number == 1:
             yield path
@@ -53,13 +53,13 @@ def numbered(path: Path) -> Iterator[Path]:
 
 
 def rename(path: Path, new: Path) -> None:
-    """Give a file another name, which nothing has.
+    """Rename a file without overwriting another.
 
     Raises:
-        FileExistsError: something has it.
-        OSError: it cannot be done.
+        FileExistsError: the new name is taken.
+        OSError: the file cannot be renamed.
     """
-    os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL))  # to have the name
+    os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL))  # reserves the name atomically
     try:
         os.replace(path, new)
     except OSError:
@@ -69,7 +69,7 @@ def rename(path: Path, new: Path) -> None:
 
 
 def size(count: float) -> str:
-    """A number of bytes, for people."""
+    """A number of bytes with a readable unit."""
     for unit in ("bytes", "kB", "MB"):
         if count < 999.5:
             return f"{count:.0f} {unit}" if unit == "bytes" else f"{count:.3g} {unit}"

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: as something to wait for, and as the end of a command."""
+"""SIGINT (Ctrl-C) and SIGTERM: as events to wait for, and as exceptions that end a command."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-AGAIN = 0.05  # [s] until a signal that came at a bad moment comes again
-# Code that an exception at any moment leaves broken, as `file:function`.
-_WHOLE = re.compile(
-    # Half a module is the cause of errors that nobody understands.
+RETRY_DELAY = 0.05  # until a signal that came inside uninterruptible code is raised again [s]
+# Code in which an asynchronous exception leaves an inconsistent state, as `file:function`.
+_UNINTERRUPTIBLE = re.compile(
+    # A partly imported module stays in `sys.modules`.
     r"^<frozen importlib"
-    # LLVM's objects belong to somebody, which is written down after the call that made it so. In
-    # between an exception lets them be freed twice, which ends the process.
+    # LLVM objects change owner in one call, and Python records the owner after it: an exception in
+    # between frees them twice, which crashes the process.
     r"|/llvmlite/binding/"
-    # A kernel's files, and its way from there into memory.
+    # Reading and writing of cached kernels.
     r"|/numba/core/caching\.py:"
-    # The compiler's lock, which nobody would give back. Not what runs under it: a kernel may take
-    # ten seconds to compile.
+    # The compiler's lock would never be released. The code under the lock may be interrupted:
+    # compiling a kernel can take ten seconds.
     r"|/numba/core/compiler_lock\.py:(acquire|release|__enter__|__exit__)$"
-    # A cluster of which only some workers have begun cannot be closed.
+    # A cluster whose workers are only partly started cannot be closed.
     r"|/distributed/deploy/(local|spec)\.py:__init__$"
 )
 
 
 @contextlib.contextmanager
 def interrupts() -> Iterator[Callable[[], None]]:
-    """Gives a function that waits for Ctrl-C or SIGTERM; for the main thread only.
+    """Yields a function that waits for SIGINT or SIGTERM; for the main thread only.
 
-    From here on no signal is lost: as exceptions they would be where one comes in a callback that
-    another library made, and some are made all the time. The function returns at once if one came
-    before it was called. After it has returned, another one interrupts as usual.
+    Within the context no signal is lost, whereas an exception raised inside a callback of a library
+    can be. The function returns at once if a signal came before it was called. After it has
+    returned, the previous handlers are in force again.
     """
-    heard, ring = os.pipe()
-    os.set_blocking(ring, False)
-    # An interrupt that a shell had its background job ignore stays ignored.
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    # A shell makes its background jobs ignore SIGINT: keep it ignored.
     numbers = [
         number
         for number in (signal.SIGINT, signal.SIGTERM)
         if signal.getsignal(number) not in (signal.SIG_IGN, None)
     ]
-    # The signal's number is written where the signal is caught. Python's own handlers run later,
-    # and not at all while the main thread reads.
-    fd = signal.set_wakeup_fd(ring, warn_on_full_buffer=False)
-    before = [signal.signal(number, _nothing) for number in numbers]
+    # The C handler writes the signal's number to the pipe; Python's handlers do not run while the
+    # main thread blocks in `read`.
+    fd = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    before = [signal.signal(number, _ignore) for number in numbers]
 
     def restore() -> None:
         for number, handler in zip(numbers, before, strict=True):
@@ -56,7 +56,7 @@ def interrupts() -> Iterator[Callable[[], None]]:
         signal.set_wakeup_fd(fd)
 
     def wait() -> None:
-        while not set(os.read(heard, 64)) & set(numbers):
+        while not set(os.read(reader, 64)) & set(numbers):
             pass
         restore()
 
@@ -64,35 +64,35 @@ def interrupts() -> Iterator[Callable[[], None]]:
         yield wait
     finally:
         restore()
-        os.close(heard)
-        os.close(ring)
+        os.close(reader)
+        os.close(writer)
 
 
-def _nothing(number: int, frame: FrameType | None) -> None:
-    """The wake-up descriptor has it."""
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """The signal is read from the wake-up pipe."""
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM: ends a command as Ctrl-C does."""
+    """SIGTERM, which ends a command as Ctrl-C does."""
 
 
 def arm() -> None:
-    """From here on Ctrl-C and SIGTERM are a `KeyboardInterrupt` in the main thread, none is lost.
+    """From now on SIGINT and SIGTERM raise a `KeyboardInterrupt` in the main thread.
 
-    One that comes in code that must not be left halfway (imports, LLVM) comes again when that is
-    done, and so does one that a library's callback has swallowed.
+    A signal during uninterruptible code (imports, LLVM) is raised again after it, and so is one
+    whose exception was discarded in a callback of a library.
     """
     if threading.current_thread() is not threading.main_thread():
         return
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
             signal.signal(number, _stop)
-    signal.signal(signal.SIGALRM, _ring)
-    sys.unraisablehook = _not_lost
+    signal.signal(signal.SIGALRM, _on_alarm)
+    sys.unraisablehook = _on_unraisable
 
 
 def disarm() -> None:
-    """The command has ended: another Ctrl-C ends what is left of the process at once."""
+    """After the command: another signal ends the process at once."""
     if threading.current_thread() is threading.main_thread():
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -101,36 +101,36 @@ def disarm() -> None:
 
 
 def exit_code(stop: KeyboardInterrupt) -> int:
-    """What a shell expects of a program that was ended like this."""
+    """The exit code that a shell expects: 128 + number of the signal."""
     return 128 + (signal.SIGTERM if isinstance(stop, Terminated) else signal.SIGINT)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
     while frame is not None:
-        if _WHOLE.search(f"{frame.f_code.co_filename}:{frame.f_code.co_name}"):
-            _again(number)
+        if _UNINTERRUPTIBLE.search(f"{frame.f_code.co_filename}:{frame.f_code.co_name}"):
+            _retry(number)
             return
         frame = frame.f_back
-    signal.setitimer(signal.ITIMER_REAL, 0.0)  # one that has waited is this one
+    signal.setitimer(signal.ITIMER_REAL, 0.0)  # cancels a pending retry
     raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
 
-def _not_lost(lost: sys.UnraisableHookArgs) -> None:
+def _on_unraisable(lost: sys.UnraisableHookArgs) -> None:
     if lost.exc_type is not None and issubclass(lost.exc_type, KeyboardInterrupt):
-        _again(signal.SIGTERM if issubclass(lost.exc_type, Terminated) else signal.SIGINT)
+        _retry(signal.SIGTERM if issubclass(lost.exc_type, Terminated) else signal.SIGINT)
     else:
         sys.__unraisablehook__(lost)
 
 
-_waiting: int = signal.SIGINT
+_pending: int = signal.SIGINT
 
 
-def _again(number: int) -> None:
-    # By an alarm, not a thread: to start one takes locks, which what was interrupted may hold.
-    global _waiting
-    _waiting = number
-    signal.setitimer(signal.ITIMER_REAL, AGAIN)
+def _retry(number: int) -> None:
+    # An alarm, not a thread: starting a thread takes locks that the interrupted code may hold.
+    global _pending
+    _pending = number
+    signal.setitimer(signal.ITIMER_REAL, RETRY_DELAY)
 
 
-def _ring(number: int, frame: FrameType | None) -> None:
-    signal.raise_signal(_waiting)  # to whoever waits for it by then
+def _on_alarm(number: int, frame: FrameType | None) -> None:
+    signal.raise_signal(_pending)

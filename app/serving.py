@@ -1,4 +1,4 @@
-"""`vf-sandbox` without a command: a session and its page, from the first step to Ctrl-C."""
+"""`vf-sandbox` without a command: runs a session and its page until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 def serve(options: Options, scenario: Scenario | None = None) -> int:
-    """Start session and page, and keep them until Ctrl-C; returns the exit code.
+    """Start session and page, and run them until Ctrl-C; returns the exit code.
 
     Args:
-        scenario: what to begin with; the options have its settings in them.
+        scenario: scenario to start with; `options` already contain its settings.
 
     Raises:
         ValueError, OSError: a name, a mesh or an address that cannot be used.
@@ -78,12 +78,12 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
 
 
 def attend(page: Page, console: Console, ready: str, show: bool = False, more: str = "") -> None:
-    """Tell where the page is, and wait for Ctrl-C.
+    """Print the page's address, and wait for Ctrl-C.
 
     Args:
-        ready: what is ready, before the address.
+        ready: printed before the address.
         show: open the address in the user's browser.
-        more: what else can be done with the page, after the address.
+        more: printed after the address.
     """
     with interrupts() as wait:
         console.print(
@@ -101,15 +101,15 @@ def attend(page: Page, console: Console, ready: str, show: bool = False, more: s
 def bind_problem(host: str, port: int) -> str | None:
     """Why the page could not listen on this address, or None if it could.
 
-    Tried beforehand because viser moves on to the next port when one is taken, and hangs on an
-    address that is not ours.
+    Tested beforehand because viser takes the next port when one is in use, and hangs on an address
+    that this machine does not have.
     """
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
         with socket.socket(family, kind, protocol) as attempt:
-            # As the server will: a port in TIME_WAIT is not taken.
+            # As the server does: a port in TIME_WAIT counts as free.
             attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             attempt.bind(address)
             attempt.listen(1)
@@ -127,7 +127,7 @@ def bind_problem(host: str, port: int) -> str | None:
 
 
 def _show(url: str, console: Console) -> None:
-    """Open the address in the user's browser, which may be a program that this one waits for."""
+    """Open the address in the user's browser; in a thread, as `webbrowser.open` may block."""
 
     def browse() -> None:
         if not webbrowser.open(url):
@@ -137,7 +137,7 @@ def _show(url: str, console: Console) -> None:
 
 
 class _Steps:
-    """Shows the step under way with the time it takes, and leaves a line for each one done."""
+    """Shows the current step with its elapsed time, and prints a line for each finished step."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -164,7 +164,7 @@ class _Steps:
         self._progress.stop()
 
     def __call__(self, text: str) -> None:
-        """Begin a step; the one before it is done."""
+        """Finish the previous step and begin this one."""
         self._finish()
         self._text, self._since = escape(text), time.perf_counter()
         for task in self._progress.task_ids:
@@ -174,7 +174,7 @@ class _Steps:
             self._console.print(f"  {self._text} …")
 
     def done(self) -> None:
-        """The last step is done: stop showing progress."""
+        """Finish the last step."""
         self._finish()
         self._progress.stop()
 

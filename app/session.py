@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike
 
 import robots
 from app.control.autopilot import Script
+from app.control.desk import Desk
 from app.control.engine import Orders
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
@@ -32,7 +32,9 @@ from app.scene.work import Work
 from app.settings import DECLARED, MESH, Options, kind_of
 
 DEFAULTS = Options()
-LIVE = (Scope.FIXTURE, Scope.TELEOPERATION)  # of options that are set while a session runs
+LIVE = tuple(  # options that are set while a session runs
+    name for name, told in DECLARED.items() if told.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
+)
 
 
 class Session:
@@ -66,19 +68,16 @@ class Session:
         plant = scenes.plant(self.scene, options)
         self.master = PageMaster(self.scene.T_base_start, options.scale, options.lock_orientation)
         self.work = Work()
-        self._lock = threading.RLock()  # writers only; the loop and `latest` never take it
-        self._orders = Orders(
+        orders = Orders(
             plant,
             self.master.command(0),
             scale=options.scale,
             lock_orientation=options.lock_orientation,
         )
-        self._inbox: Mailbox[Orders] = Mailbox(self._orders)
+        self._desk = Desk(orders)
         self._outbox: Mailbox[Telemetry] = Mailbox()
         self._watch = Watch()
-        self._loop = ControlLoop(self._inbox, self._outbox, options.dt, self._ticked)
-        self._suspended = ""  # why orders are refused
-        self._goes_on = True  # once it is not suspended any more
+        self._loop = ControlLoop(self._desk.inbox, self._outbox, options.dt, self._ticked)
 
     def __enter__(self) -> Session:
         self.start()
@@ -132,7 +131,7 @@ class Session:
         Raises:
             Refused: a recording is under way, or the file cannot be made.
         """
-        with self._turn():
+        with self._desk.turn():
             return self._loop.record(path)
 
     def stop_recording(self) -> Tape:
@@ -155,24 +154,20 @@ class Session:
         Raises:
             Refused: it is suspended already, or other work is under way.
         """
-        with self._turn(), self._working(stop):
-            self._suspended, self._goes_on = reason, not self._orders.paused
+        with self._desk.turn(), self.work.begin(stop):
             if self.master.held:
                 self.master.let_go()
                 self._command()
-            self._order(paused=True)
+            self._desk.close(reason)
 
     def go_on(self) -> None:
         """Take orders again, and tick if it did before `suspend`. Safe to call twice."""
-        with self._lock:
-            if self._suspended:
-                self._suspended = ""
-                self._order(paused=not self._goes_on)
+        self._desk.open()
 
     @property
     def suspended(self) -> bool:
         """Whether orders are refused for now."""
-        return bool(self._suspended)
+        return bool(self._desk.closed)
 
     # What the operator does
 
@@ -185,10 +180,9 @@ class Session:
                 `Options.stale_after` runs out, or the tool holds.
 
         Raises:
-            Refused: not finite, not a rotation, or too far from the base. The session goes on with
-                the pose it had.
+            Refused: not finite, not a rotation, or too far from the base. The pose stays.
         """
-        with self._turn():
+        with self._desk.turn():
             self.master.move(target, held)
             self._command(autopilot=False)
 
@@ -197,13 +191,13 @@ class Session:
 
         Never waits: while a setter is at work (some milliseconds) this does nothing.
         """
-        if not self._lock.acquire(blocking=False):
+        if not self._desk.lock.acquire(blocking=False):
             return
         try:
-            if self.master.held and not self._suspended:
+            if self.master.held and not self._desk.closed:
                 self._command()
         finally:
-            self._lock.release()
+            self._desk.lock.release()
 
     def nudge(self, shift: ArrayLike) -> None:
         """Move the handle by shift (3,) [m], base frame, and no farther; ends the autopilot.
@@ -214,14 +208,14 @@ class Session:
         shift = np.asarray(shift, dtype=np.float64)
         if shift.shape != (3,) or not np.isfinite(shift).all():
             raise Refused(f"a nudge is three finite lengths, not {shift.tolist()}")
-        with self._turn():
-            if self._orders.autopilot:
+        with self._desk.turn():
+            if self._desk.orders.autopilot:
                 self.set_autopilot(False)
             self.drive(pin.SE3(self.handle.rotation, self.handle.translation + shift))
 
     def recall(self) -> None:
         """Put handle and proxy back onto the tool; ends the autopilot."""
-        with self._turn():
+        with self._desk.turn():
             self.master.place(self._tool())
             self._command(autopilot=False)
 
@@ -230,44 +224,43 @@ class Session:
 
         Released: handle and proxy are latched anew, the proxy where the tool is.
         """
-        with self._turn():
+        with self._desk.turn():
             if pressed != self.master.clutched:
                 self.master.clutch(pressed, self._tool())
                 self._command()
 
     def pause(self) -> None:
         """Stop the ticks; telemetry keeps showing the last one."""
-        with self._turn():
-            self._order(paused=True)
+        with self._desk.turn():
+            self._desk.write(paused=True)
 
     def resume(self) -> None:
         """Let the ticks go on. The proxy that counts is the one of this moment."""
-        with self._turn():
-            self._order(paused=False)
+        with self._desk.turn():
+            self._desk.write(paused=False)
 
     def single_step(self, ticks: int = 1) -> None:
         """Pause, and do exactly so many ticks, one after the other at the loop's rate."""
-        with self._turn():
-            self._order(paused=True, steps=self._orders.steps + ticks)
+        with self._desk.turn():
+            self._desk.write(paused=True, steps=self._desk.orders.steps + ticks)
 
     def reset(self) -> None:
         """Put the tool back to the scene's start, and handle and proxy onto it."""
-        with self._turn():
+        with self._desk.turn():
             self._to_start()
-            self._command(autopilot=False, resets=self._orders.resets + 1)
+            self._command(autopilot=False, resets=self._desk.orders.resets + 1)
 
-    def set_autopilot(self, on: bool) -> bool:
+    def set_autopilot(self, on: bool) -> None:
         """Let a scripted path drive the proxy, from its beginning. Off: the proxy stays there."""
-        with self._turn():
-            if on == self._orders.autopilot:
-                return on
+        with self._desk.turn():
+            if on == self._desk.orders.autopilot:
+                return
             target = self.latest().target
             if on:
                 self.master.hold()
             elif target is not None:
                 self.master.place(target)
             self._command(autopilot=on)
-            return on
 
     def put(self, proxy: pin.SE3) -> None:
         """Put the proxy there, and the handle with it; ends the autopilot.
@@ -276,7 +269,7 @@ class Session:
             Refused: not finite, not a rotation, or too far from the base.
         """
         pose = checked_pose(proxy)
-        with self._turn():
+        with self._desk.turn():
             self.master.hold()
             self.master.place(pose)
             self._command(autopilot=False)
@@ -286,11 +279,11 @@ class Session:
 
         It takes the place of the scene's own autopilot until the scene is changed.
         """
-        with self._turn():
+        with self._desk.turn():
             self.scene = replace(self.scene, autopilot=script)
             plant = scenes.plant(self.scene, self.options)
             self._to_start()
-            self._command(autopilot=True, plant=plant, resets=self._orders.resets + 1)
+            self._command(autopilot=True, plant=plant, resets=self._desk.orders.resets + 1)
 
     def set(self, **changes: Any) -> Options:
         """Change options of the fixture and of teleoperation; returns those then in force.
@@ -301,13 +294,13 @@ class Session:
             Refused: an option that is none of these, a value that is unknown or not a number, a
                 corridor without a planned path or wider than its bends allow.
         """
-        with self._turn():
+        with self._desk.turn():
             orders: dict[str, Any] = {}
             changed = set()
             try:
                 for name, value in changes.items():
-                    if name not in DECLARED or DECLARED[name].scope not in LIVE:
-                        raise Refused(f"{name} is nothing that is set while a session runs")
+                    if name not in LIVE:
+                        raise Refused(f"{name} is none of what is set live: {', '.join(LIVE)}")
                     kind = kind_of(name)
                     if isinstance(kind, Number) and value is not None:
                         changes[name] = kind.clamped(name, value)
@@ -322,7 +315,7 @@ class Session:
                 raise Refused(str(error)) from None
             self.options = options
             if orders:
-                self._order(**orders)
+                self._desk.write(**orders)
             if Scope.TELEOPERATION in changed:
                 self._remap()
             return options
@@ -342,8 +335,7 @@ class Session:
         new start; handle and proxy are put onto it.
 
         Args:
-            mesh: catalogue name or path; None keeps the mesh (and its unit).
-            unit: of the mesh file.
+            mesh: catalogue name or path, `unit` is the file's; None keeps the mesh and its unit.
             robot: name; None keeps the robot.
             progress: called with a few words before each step.
             stop: of the `work` that this belongs to; None: it is one of its own.
@@ -356,22 +348,16 @@ class Session:
             ValueError: unknown names or an unusable mesh, with the reason; the old scene goes on.
         """
         with contextlib.ExitStack() as stack:
-            with self._turn():  # refused now rather than after the scene is built
-                stop = stack.enter_context(self._working(stop))
-            wanted: dict[str, Any] = {}
-            if mesh is not None:
-                wanted = {name: getattr(DEFAULTS, name) for name in MESH}
-            for name, value in (("mesh", mesh), ("unit", unit), ("robot", robot)):
-                if value is not None:
-                    wanted[name] = value
-            wanted.update(more)
+            with self._desk.turn():  # refused now rather than after the scene is built
+                stop = stack.enter_context(self.work.begin(stop))
+            wanted = {} if mesh is None else {name: getattr(DEFAULTS, name) for name in MESH}
+            named = {"mesh": mesh, "unit": unit, "robot": robot}
+            wanted |= {name: value for name, value in named.items() if value is not None} | more
             options = replace(self.options, **wanted)
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = worker.build(options, self.scene.version + 1, arm, progress, stop)
-            if stop.asked:
-                raise worker.Stopped("stopped: nothing is changed")
-            with self._lock:
+            with self._desk.lock:
                 # Settings may have moved on while the scene was being built.
                 options = replace(self.options, **wanted)
                 plant = scenes.plant(new, options)
@@ -385,18 +371,6 @@ class Session:
             return new
 
     # Inner workings; callers hold the lock
-
-    @contextlib.contextmanager
-    def _turn(self) -> Iterator[None]:
-        """The lock for an order of the operator's, which is refused while suspended."""
-        with self._lock:
-            if self._suspended:
-                raise Refused(self._suspended)
-            yield
-
-    def _working(self, stop: worker.Stop | None) -> contextlib.AbstractContextManager[worker.Stop]:
-        """A work of its own, or the one that was begun with this `stop`."""
-        return self.work.begin() if stop is None else contextlib.nullcontext(stop)
 
     def _ticked(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
         """From the control thread, after every advance of the engine."""
@@ -413,16 +387,12 @@ class Session:
         """The teleoperation by the present settings; the proxy does not jump."""
         options = self.options
         self.master.remap(options.scale, options.lock_orientation)
-        self._order(scale=options.scale, lock_orientation=options.lock_orientation)
-
-    def _order(self, **changes: Any) -> None:
-        with self._lock:
-            self._orders = replace(self._orders, **changes)
-            self._inbox.put(self._orders)
+        self._desk.write(scale=options.scale, lock_orientation=options.lock_orientation)
 
     def _command(self, **changes: Any) -> None:
-        """What the master says, together with other changes that must be seen at the same tick."""
-        self._order(command=self.master.command(self._orders.command.sequence + 1), **changes)
+        """What the master says, and other changes that must be seen at the same tick."""
+        sequence = self._desk.orders.command.sequence + 1
+        self._desk.write(command=self.master.command(sequence), **changes)
 
     def _tool(self) -> pin.SE3:
         """The tool's pose as last seen."""

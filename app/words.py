@@ -1,4 +1,4 @@
-"""Lengths, places and turns as people write them, read and printed."""
+"""Parsing and formatting of lengths, speeds, positions and rotations in user input."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ _LENGTH = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµμ]*
 
 
 class OptionError(ValueError):
-    """A setting is not usable. The message names the value and what would be valid."""
+    """An invalid setting. The message names the value and the valid choices."""
 
 
 def parse_length(text: str) -> float:
-    """A length in metres from text such as `5mm`, `20um` or `0.2in`; of a bare number only 0.
+    """A length in metres from text such as `5mm`, `20um` or `0.2in`.
 
-    A number without a unit is refused: the page shows millimetres, the library has metres.
+    A number without a unit is refused, except 0: the page shows millimetres, the library uses
+    metres.
 
     Raises:
-        OptionError: the text is no length; the message says how to write one.
+        OptionError: the text is no length.
     """
     match = _LENGTH.fullmatch(text.strip())
     if match is not None:
@@ -41,7 +42,7 @@ def parse_length(text: str) -> float:
 
 
 def format_length(value: float | None) -> str:
-    """The shortest text that reads back as about the same length, in mm or um; auto for None."""
+    """A length in mm or um with six significant digits; `auto` for None."""
     if value is None:
         return "auto"
     for scale, unit in ((1e-3, "mm"), (1e-6, "um")):
@@ -62,7 +63,7 @@ def parse_speed(text: str) -> float:
 
 
 def format_speed(value: float) -> str:
-    """The text that `parse_speed` reads back as the same speed, in mm/s."""
+    """A speed in mm/s with six significant digits."""
     return f"{value * 1e3:.6g}mm/s"
 
 
@@ -97,5 +98,5 @@ def _angle(word: str) -> float:
 
 
 def format_turn(value: tuple[float, float, float]) -> str:
-    """The text that `parse_turn` reads back as the same turn."""
+    """Three angles in degrees with nine significant digits."""
     return ",".join(f"{math.degrees(angle):.9g}" for angle in value)

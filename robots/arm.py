@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from robots import chain
 from robots.drawing import Body, Drawing
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +36,8 @@ class Arm:
         velocity: speed limits [rad/s or m/s].
         revolute: 1 for a revolute joint, 0 for a prismatic one.
         neutral:  the rest pose, within the limits.
+        chain:    `(k + 1, 14)`, the joints between base and tip for the compiled tick, see
+                  `vf.chain`.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Arm:
         self._model = model
         self._data = model.createData()
         self._tip = int(model.getFrameId(tip_frame))
+        self.chain = chain.flat(model, self._tip)
         self._inverse = inverse
         self._drawing = drawing
         self.neutral = _read_only(self._checked(neutral))

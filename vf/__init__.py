@@ -2,21 +2,24 @@
 
 from vf.closest import Feature, closest_point
 from vf.conditions import every_plane, paper_planes
-from vf.controller import Controller, Settings, Status, Step, Timings
+from vf.controller import Controller, Settings, Step, Timings
 from vf.corridor import CorridorFixture, cutting_direction
 from vf.cover import certified_planes
 from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.haptics import force
 from vf.planes import Planes, Rule
-from vf.qp import ConstrainedLeastSquares, Solution, Solver
+from vf.qp import ConstrainedLeastSquares, Solution
 from vf.reasons import Across, Cover, Explanation, TriangleReport, Verdict, explain
 from vf.selftest import check_kernels
+from vf.solver import SOLVERS, Solver
+from vf.status import Status
 from vf.surface import Contacts, Edge, Surface
 
 __version__ = "0.1.0"
 
 __all__ = [
     "RULES",
+    "SOLVERS",
     "Across",
     "ConstrainedLeastSquares",
     "Contacts",

@@ -5,19 +5,39 @@ from __future__ import annotations
 from math import cos, radians
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from vf.cover import VALLEY_ROOM, YIELD, YIELD_SHARE, Buffer
+from vf import pdtree
+from vf.block import Search
+from vf.cover import BUDGET, CORNERS, FAINT, HEAP, walk
 from vf.kernels import njit
-from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length
+from vf.layout import (
+    BUMP,
+    CAPSULE,
+    FIXTURE,
+    FLOOR,
+    FOOT,
+    LIMIT,
+    NORMAL,
+    OFFSET,
+    PLANE,
+    POINT,
+    PUSH,
+    RULE,
+    TRIANGLE,
+    WALLED,
+)
+from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length, planes_of
+from vf.surface import ROUND, Edge
 
-BUDGET = 32  # planes at most; a buffer has room for more
 FAR = 1.0  # the walls go on straight by this much before and after the path [m]
 STRAIGHT = 1e-9  # a point this near to the straight line of its neighbours is no bend [m]
-HAIR = 1e-12  # on a wall within rounding [m]
+ON_WALL = 1e-12  # walls this near to each other meet, and on a wall within rounding [m]
 # How far a tool outside is led back in a tick [m]: 10 mm/s at 1 kHz.
 LED_BACK = 1e-5
 CORRIDOR = int(Rule.CORRIDOR)
+# A row of the walls: start (2), end (2), normal into the corridor (2), on which side of the path.
+END, ACROSS, ON, WALL = 2, 4, 6, 7
 FLATTEN = cos(radians(30.0))
 
 
@@ -30,7 +50,7 @@ class CorridorFixture:
     parallel walls; any other has a wall of flat pieces on either side, cut across on the outside of
     a bend, so that what is between the walls is never farther from the path than `width`.
 
-    The planes are chosen as by the certified rule, with the pieces of the walls for triangles, and
+    The planes are those of the certified rule, with the pieces of the walls for triangles, so they
     carry the same certificate: a step that obeys them stays between the walls. A tool that is
     outside (the path was moved, or the corridor was switched on) is led back gently and may not go
     farther out.
@@ -48,7 +68,6 @@ class CorridorFixture:
     """
 
     certified = True
-    fills = True
 
     def __init__(
         self,
@@ -61,43 +80,39 @@ class CorridorFixture:
         self.direction = _checked_direction(direction)
         self.width = checked_length("corridor's width", width, positive=True)
         self.radius = radius if radius is None else checked_length("radius", radius, positive=True)
-        self._axes = _across(self.direction)
-        self._walls = _walls(_bends(self.path @ self._axes.T), self.width)
-        for array in (self.path, self.direction, self._axes, *self._walls):
+        self.axes = _across(self.direction)  # (2, 3): the plane in which the walls are lines
+        self.walls = _walls(_bends(self.path @ self.axes.T), self.width)  # (k, WALL) [m]
+        self.tree, self.edges = _tree(self.walls)
+        # Nearer to a wall no plane separates the tip from it: it counts as being on the wall [m].
+        self.hair = max(ON_WALL, 2.0 * FAINT * ROUND * float(np.abs(self.walls[:, :ACROSS]).max()))
+        frame = np.array([*self.axes.ravel(), self.width, self.hair])
+        self.search = Search(WALLED, self.tree, self.edges, self.walls, frame)
+        for array in (
+            self.path, self.direction, self.axes, self.walls, self.edges, frame, *self.tree
+        ):  # fmt: skip
             array.flags.writeable = False
 
     def inside(self, x: FloatArray) -> bool:
         """Never: outside the corridor is not inside an anatomy, and `planes` leads back."""
         return False
 
-    def depth(self, x: FloatArray) -> float:
-        return 0.0
+    def leads_out(self, x: FloatArray, y: FloatArray) -> bool:
+        return True
 
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
     ) -> Planes:
-        buffer = Buffer()
-        return buffer.cut(*self.fill(buffer, 0, x, radius, standoff, tip_radius))
-
-    def fill(
-        self,
-        buffer: Buffer,
-        first: int,
-        x: FloatArray,
-        radius: float,
-        standoff: float,
-        tip_radius: float,
-    ) -> tuple[int, float]:
-        m, reach = _planes(
-            *self._walls, self._axes, x, radius, standoff, tip_radius, self.width,
-            *buffer.rows(first),
+        planes = np.empty((BUDGET, PLANE))
+        m, reach = _between_alone(
+            self.walls, self.axes, self.width, self.hair, *self.tree, self.edges, x, radius,
+            standoff, tip_radius, planes,
         )  # fmt: skip
-        return m, reach
+        return planes_of(planes[:m], reach)
 
     def room(self, x: ArrayLike) -> float:
         """Distance of x (3,) to the nearest wall [m], negative outside the corridor."""
-        flat = self._axes @ np.asarray(x, dtype=np.float64)
-        return float(_room(*self._walls, flat[0], flat[1])[0])
+        flat = self.axes @ np.asarray(x, dtype=np.float64)
+        return float(_room(self.walls, flat[0], flat[1])[0])
 
     def ribbons(self, half_height: float, beyond: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """The two walls as strips of quadrangles to draw, each (k, 4, 3) [m].
@@ -106,8 +121,8 @@ class CorridorFixture:
             half_height: how far they go up and down from the path along `direction` [m].
             beyond: how far they go on before and after the path [m].
         """
-        starts, ends, _normals, sides = self._walls
-        flat, along = self.path @ self._axes.T, self.path @ self.direction
+        starts, ends, sides = self.walls[:, :END], self.walls[:, END:ACROSS], self.walls[:, ON]
+        flat, along = self.path @ self.axes.T, self.path @ self.direction
         found = []
         for side in (0, 1):
             pieces = np.flatnonzero(sides == side)
@@ -120,7 +135,7 @@ class CorridorFixture:
                 count = max(int(np.ceil(np.linalg.norm(b - a) / 1e-3)), 1)
                 marks = a + np.linspace(0.0, 1.0, count + 1)[:, None] * (b - a)
                 nearest = np.linalg.norm(marks[:, None] - flat, axis=2).argmin(axis=1)
-                middle = marks @ self._axes + along[nearest, None] * self.direction
+                middle = marks @ self.axes + along[nearest, None] * self.direction
                 rise = half_height * self.direction
                 corners.append(
                     np.stack(
@@ -201,8 +216,8 @@ def _bends(points: FloatArray) -> FloatArray:
     return np.array([distinct[i] for i in (*kept, len(distinct) - 1)])
 
 
-def _walls(points: FloatArray, width: float) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Pieces of both walls: starts (k, 2), ends (k, 2), normals into the corridor, side 0 or 1."""
+def _walls(points: FloatArray, width: float) -> FloatArray:
+    """Pieces (k, WALL) of both walls, those of side 0 first, each side along the path."""
     steps = np.diff(points, axis=0)
     forward = steps / np.linalg.norm(steps, axis=1, keepdims=True)
     left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
@@ -245,21 +260,40 @@ def _walls(points: FloatArray, width: float) -> tuple[FloatArray, FloatArray, Fl
                 normals.append(-sign * np.array([-along[1], along[0]]))
                 sides.append(side)
                 legs.append(i)
-    walls = np.array(starts), np.array(ends), np.array(normals), np.array(sides, dtype=np.int64)
+    walls = np.column_stack([starts, ends, normals, sides])
     _check_apart(walls, np.array(legs), width)
     return walls
 
 
-def _check_apart(
-    walls: tuple[FloatArray, FloatArray, FloatArray, IntArray], legs: IntArray, width: float
-) -> None:
+def _tree(walls: FloatArray) -> tuple[pdtree.Tree, NDArray[np.int8]]:
+    """The walls for `cover.walk`: triangles (a, b, b) in the plane, and kinds (k, 3) of edges.
+
+    Edge 2 speaks for the bend at a and edge 1 for that at b: a valley where the wall goes on
+    towards the corridor.
+    """
+    k = len(walls)
+    corners = np.zeros((3 * k, 3))
+    corners[0::3, :2] = walls[:, :END]
+    corners[1::3, :2] = corners[2::3, :2] = walls[:, END:ACROSS]
+    tree = pdtree.build(corners, np.arange(3 * k).reshape(k, 3))
+    edges = np.full((k, 3), int(Edge.RIDGE), dtype=np.int8)
+    for i in range(k):
+        for edge, j, far in ((2, i - 1, 0), (1, i + 1, END)):
+            if 0 <= j < k and walls[j, ON] == walls[i, ON]:
+                ahead = walls[j, far : far + 2] - walls[i, :END]
+                if walls[i, ACROSS:ON] @ ahead > 0.0:
+                    edges[i, edge] = Edge.VALLEY
+    # What `pdtree.build` says of slivers does not hold for what is a line: its distance is exact.
+    return tree._replace(errors=np.zeros(k)), edges
+
+
+def _check_apart(walls: FloatArray, legs: IntArray, width: float) -> None:
     """Refuse walls that meet: which side of them is free would then be open.
 
     Args:
         legs: (k,) from which leg of the path each piece comes.
     """
-    starts, ends, _, sides = walls
-    i, j = _meeting(starts, ends, sides)
+    i, j = _meeting(walls[:, :END].copy(), walls[:, END:ACROSS].copy(), walls[:, ON].copy())
     if i >= 0:
         raise ValueError(
             f"the path comes too near to itself for a corridor of ±{width * 1e3:g} mm: the walls "
@@ -277,9 +311,12 @@ def _meeting(starts, ends, sides):  # type: ignore[no-untyped-def]
                 continue
             apart = False
             for k in range(2):
-                apart |= max(starts[i, k], ends[i, k]) < min(starts[j, k], ends[j, k]) - HAIR
-                apart |= max(starts[j, k], ends[j, k]) < min(starts[i, k], ends[i, k]) - HAIR
-            if not apart and _distance2(starts[i], ends[i], starts[j], ends[j]) <= HAIR * HAIR:
+                apart |= max(starts[i, k], ends[i, k]) < min(starts[j, k], ends[j, k]) - ON_WALL
+                apart |= max(starts[j, k], ends[j, k]) < min(starts[i, k], ends[i, k]) - ON_WALL
+            if (
+                not apart
+                and _distance2(starts[i], ends[i], starts[j], ends[j]) <= ON_WALL * ON_WALL
+            ):
                 return i, j
     return -1, -1
 
@@ -313,21 +350,22 @@ def _closest(ax, ay, bx, by, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _room(starts, ends, normals, sides, x, y):  # type: ignore[no-untyped-def]
+def _room(walls, x, y):  # type: ignore[no-untyped-def]
     """Signed distance to the nearest wall, the nearest point, and the normal that gave the sign."""
     best = np.inf
     nearest = 0
     at = 0.0
     px = py = 0.0
-    for i in range(len(sides)):
-        t, cx, cy, d2 = _closest(starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1], x, y)
+    for i in range(walls.shape[0]):
+        t, cx, cy, d2 = _closest(walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3], x, y)
         if d2 < best:
             best, nearest, at, px, py = d2, i, t, cx, cy
-    nx, ny = normals[nearest, 0], normals[nearest, 1]
+    nx, ny = walls[nearest, ACROSS], walls[nearest, ACROSS + 1]
     other = nearest - 1 if at == 0.0 else nearest + 1
-    if (at == 0.0 or at == 1.0) and 0 <= other < len(sides) and sides[other] == sides[nearest]:
-        nx += normals[other, 0]
-        ny += normals[other, 1]
+    ends = (at == 0.0 or at == 1.0) and 0 <= other < walls.shape[0]
+    if ends and walls[other, ON] == walls[nearest, ON]:
+        nx += walls[other, ACROSS]
+        ny += walls[other, ACROSS + 1]
     distance = np.sqrt(best)
     if nx * (x - px) + ny * (y - py) < 0.0:
         distance = -distance
@@ -336,130 +374,62 @@ def _room(starts, ends, normals, sides, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _meets_at_valley(starts, ends, normals, sides, i, t):  # type: ignore[no-untyped-def]
-    """Whether piece i goes on at the end t (0 or 1) with one that bends towards the corridor."""
-    j = i - 1 if t == 0.0 else i + 1
-    if j < 0 or j >= len(sides) or sides[j] != sides[i]:
-        return False
-    far = starts[j] if t == 0.0 else ends[j]
-    return normals[i, 0] * (far[0] - starts[i, 0]) + normals[i, 1] * (far[1] - starts[i, 1]) > 0.0
+def between(  # type: ignore[no-untyped-def]
+    walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
+    tip_radius, planes, first, queue, polygons,
+):  # fmt: skip
+    """Planes of a corridor for a tip at p (3,): as `cover.walk`, which does it in the plane.
 
+    What separates x from a piece there separates the tip from the whole wall, which stands on it
+    along the direction of the cut.
 
-@njit(cache=True)
-def _planes(  # type: ignore[no-untyped-def]
-    starts,
-    ends,
-    normals,
-    sides,
-    axes,
-    p,
-    radius,
-    standoff,
-    tip_radius,
-    width,
-    out_normals,
-    out_offsets,
-    out_points,
-    out_triangles,
-    out_rules,
-    out_floors,
-):
-    """The planes into the fields of a buffer: the certified cover of `vf.cover`, of flat pieces
-    instead of triangles. What is left of a piece behind a plane is a piece again, so t runs over
-    [low, high].
+    Args:
+        walls, axes: (k, WALL) pieces in the plane of the axes (2, 3).
+        hair: a tip nearer to a wall than this is on it or outside [m].
+        nodes, corners, order, slivers, edges: of them.
     """
     x = axes[0, 0] * p[0] + axes[0, 1] * p[1] + axes[0, 2] * p[2]
     y = axes[1, 0] * p[0] + axes[1, 1] * p[1] + axes[1, 2] * p[2]
-    k = len(sides)
-    flat = np.empty((BUDGET, 2))
-    offsets = np.empty(BUDGET)
-    feet = np.empty((BUDGET, 2))
-    limits = np.empty(BUDGET)
-    floors = np.empty(BUDGET)
-    m = 0
-    valid = radius
-    room, px, py, nx, ny = _room(starts, ends, normals, sides, x, y)
-    if room < HAIR:
-        if room < -HAIR:
+    room, px, py, nx, ny = _room(walls, x, y)
+    if room < hair:
+        if room < -hair:
             nx, ny = (px - x) / -room, (py - y) / -room
-        flat[0, 0], flat[0, 1] = nx, ny
-        offsets[0] = nx * x + ny * y
         # The controller asks to be at the standoff from this foot, in one tick by half.
         back = min(2.0 * LED_BACK, max(-room, 0.0) + standoff + tip_radius) - standoff - tip_radius
-        feet[0, 0], feet[0, 1] = x + back * nx, y + back * ny
-        floors[0] = -np.inf
+        plane = planes[first]
+        plane[NORMAL], plane[NORMAL + 1] = nx, ny
+        plane[OFFSET] = nx * x + ny * y
+        plane[FOOT], plane[FOOT + 1] = x + back * nx, y + back * ny
+        plane[FLOOR] = plane[LIMIT] = -np.inf
+        plane[FIXTURE] = plane[CAPSULE] = plane[POINT] = plane[PUSH] = plane[BUMP] = 0.0
         m = 1
         valid = min(radius, max(-room, 0.0) + width)
     else:
-        reach2 = (radius + tip_radius) ** 2 * (1.0 + 1e-9)
-        distances = np.empty(k)
-        for i in range(k):
-            distances[i] = _closest(
-                starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1], x, y
-            )[3]  # fmt: skip
-        while True:
-            i = np.argmin(distances)
-            d2 = distances[i]
-            if d2 > reach2:
-                break
-            distances[i] = np.inf
-            ax, ay = starts[i, 0], starts[i, 1]
-            ux, uy = ends[i, 0] - ax, ends[i, 1] - ay
-            low, high = 0.0, 1.0
-            for j in range(m):
-                # Where along the piece it comes out from behind plane j.
-                h0 = flat[j, 0] * ax + flat[j, 1] * ay - limits[j]
-                slope = flat[j, 0] * ux + flat[j, 1] * uy
-                if slope > 0.0:
-                    low = max(low, -h0 / slope)
-                elif slope < 0.0:
-                    high = min(high, -h0 / slope)
-                elif h0 < 0.0:
-                    high = -1.0
-            if low >= high:
-                continue
-            rx, ry, sx, sy = ax + low * ux, ay + low * uy, ax + high * ux, ay + high * uy
-            _t, cx, cy, rest2 = _closest(rx, ry, sx, sy, x, y)
-            if rest2 > reach2:
-                continue
-            if m == BUDGET:
-                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - tip_radius, 0.0)
-                break
-            t, qx, qy, _d2 = _closest(ax, ay, ends[i, 0], ends[i, 1], x, y)
-            nx, ny = normals[i, 0], normals[i, 1]
-            base = max(nx * ax + ny * ay, nx * ends[i, 0] + ny * ends[i, 1])
-            space = nx * x + ny * y - base - tip_radius
-            face = 0.0 < t < 1.0 or (
-                _meets_at_valley(starts, ends, normals, sides, i, t)
-                and space > VALLEY_ROOM * max(np.sqrt(d2) - tip_radius, 0.0)
-            )
-            if face and space > 0.0:
-                cx, cy = qx, qy
-            else:
-                d = np.sqrt(rest2)
-                nx, ny = (x - cx) / d, (y - cy) / d
-                base = max(nx * rx + ny * ry, nx * sx + ny * sy)
-                space = nx * x + ny * y - base - tip_radius
-            # The tip overlaps the wall where there is no space: the claim is then about its centre.
-            clear = space if space > HAIR else space + tip_radius
-            stand = nx * x + ny * y - min(YIELD, YIELD_SHARE * max(clear, 0.0))
-            kept = standoff
-            if space < standoff and room - tip_radius > HAIR:
-                kept = min(room - tip_radius, standoff)  # to the middle, as in `vf.cover`
-            offsets[m] = min(base + tip_radius + max(kept, HAIR), stand)
-            limits[m] = base + 1e-14
-            floors[m] = limits[m] + (tip_radius if space > HAIR else 0.0)
-            flat[m, 0], flat[m, 1] = nx, ny
-            feet[m, 0], feet[m, 1] = cx, cy
-            m += 1
-    for i in range(m):
+        flat = np.zeros(3)
+        flat[0], flat[1] = x, y
+        m, valid = walk(
+            nodes, corners, order, slivers, edges, True, flat, radius, standoff, tip_radius, 0.0,
+            planes, first, queue, polygons,
+        )  # fmt: skip
+    for i in range(first, first + m):
+        plane = planes[i]
+        nx, ny = plane[NORMAL], plane[NORMAL + 1]
+        fx, fy = plane[FOOT] - x, plane[FOOT + 1] - y
         for c in range(3):
-            out_normals[i, c] = flat[i, 0] * axes[0, c] + flat[i, 1] * axes[1, c]
-            out_points[i, c] = p[c] + (
-                (feet[i, 0] - x) * axes[0, c] + (feet[i, 1] - y) * axes[1, c]
-            )
-        out_offsets[i] = offsets[i]
-        out_triangles[i] = -1
-        out_rules[i] = CORRIDOR
-        out_floors[i] = floors[i]
+            plane[NORMAL + c] = nx * axes[0, c] + ny * axes[1, c]
+            plane[FOOT + c] = p[c] + (fx * axes[0, c] + fy * axes[1, c])
+        plane[TRIANGLE] = -1.0
+        plane[RULE] = CORRIDOR
     return m, valid
+
+
+@njit(cache=True)
+def _between_alone(  # type: ignore[no-untyped-def]
+    walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
+    tip_radius, planes,
+):  # fmt: skip
+    """`between` with room of its own to work in, for a single call from Python."""
+    return between(
+        walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
+        tip_radius, planes, 0, np.empty((HEAP, 2)), np.empty((2, CORNERS, 3)),
+    )  # fmt: skip

@@ -19,21 +19,39 @@ grow, so what is behind a plane when it is met never needs another look.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vf.closest import closest_on_triangle, distance_error
 from vf.kernels import njit
+from vf.layout import (
+    BUMP,
+    CAPSULE,
+    FIXTURE,
+    FLOOR,
+    FOOT,
+    LIMIT,
+    NORMAL,
+    OFFSET,
+    PLANE,
+    POINT,
+    PUSH,
+    RULE,
+    TRIANGLE,
+)
 from vf.pdtree import (
     EXACT,
+    Tree,
     box_distance2,
     children_of,
     triangle_at,
     triangle_distance2,
     triangles_of,
 )
-from vf.planes import FloatArray, IntArray, Planes, checked_length, checked_point
-from vf.surface import ROUND, Surface
+from vf.planes import FloatArray, Planes, Rule, checked_length, checked_point, planes_of
+from vf.surface import ROUND, Edge, Surface
 
 BUDGET = 64
 # A face plane across a valley edge must leave x this share of the triangle's distance of room.
@@ -44,7 +62,7 @@ VALLEY_ROOM = 0.05
 # planes and keeps the budget from being spent, for about a percent of the free space.
 EASE = 0.004
 # Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
-BUMP = 0.75
+BUMPY = 0.75
 # In full only for what is this many standoffs away, though, and nearer in proportion: in contact
 # with a shallow bowl either of two faces would be a bump of the other, and the tool would hop from
 # the plane of one to that of the other.
@@ -59,6 +77,9 @@ FAINT = 64.0
 # Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
 HEAP = 4096
 SEEN = 128  # more than BUDGET
+CORNERS = BUDGET + 4  # of what is left of a triangle: each plane adds one at most
+FACE, RIDGE, VALLEY = int(Rule.FACE), int(Rule.RIDGE), int(Rule.VALLEY)
+ACROSS_VALLEY, ACROSS_FLAT = int(Edge.VALLEY), int(Edge.FLAT)
 
 
 def certified_planes(
@@ -88,96 +109,45 @@ def certified_planes(
     radius = checked_length("radius", radius)
     standoff = checked_length("standoff", standoff)
     tip_radius = checked_length("tip radius", tip_radius)
-    planes = Buffer()
-    return planes.cut(*planes.fill(surface, p, radius, standoff, tip_radius, sharing=True))
+    return cover(surface, p, radius, standoff, tip_radius)
+
+
+class Triangles(Protocol):
+    """What the walk looks at of a `Surface`, or of a part of one."""
+
+    @property
+    def tree(self) -> Tree: ...
+    @property
+    def edges(self) -> NDArray[np.int8]: ...
 
 
 def cover(
-    surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
+    surface: Triangles, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
-    """`certified_planes` for the control tick, where the arguments are known to be sound."""
-    planes = Buffer()
-    return planes.cut(*planes.fill(surface, x, radius, standoff, tip_radius))
-
-
-class Buffer:
-    """Room for the planes of one tick, to be filled again and again. Not thread-safe."""
-
-    def __init__(self, queries: int = 1) -> None:
-        """Room for the planes of that many queries."""
-        rows = queries * BUDGET
-        self.normals = np.empty((rows, 3))
-        self.offsets = np.empty(rows)
-        self.points = np.empty((rows, 3))
-        self.triangles = np.empty(rows, dtype=np.int64)
-        self.rules = np.empty(rows, dtype=np.int64)
-        self.floors = np.empty(rows)
-
-    def rows(
-        self, first: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
-        """What is to be written to from row `first` on: the fields of `Planes` but the radius."""
-        fields = (
-            self.normals, self.offsets, self.points, self.triangles, self.rules, self.floors
-        )  # fmt: skip
-        return tuple(field[first:] for field in fields) if first else fields  # type: ignore[return-value]
-
-    def fill(
-        self,
-        surface: Surface,
-        x: FloatArray,
-        radius: float,
-        standoff: float,
-        tip_radius: float,
-        first: int = 0,
-        sharing: bool = False,
-    ) -> tuple[int, float]:
-        """Planes for a tip at x (3,) from row `first` on.
-
-        Args:
-            sharing: other threads get the interpreter meanwhile. In a tick they do not: to wait for
-                it once more would often take longer than the walk.
-
-        Returns:
-            How many, and the radius they are valid in [m].
-        """
-        tree = surface.tree
-        kernel = _cover if sharing else _cover_held
-        m, reach = kernel(
-            tree.nodes, tree.corners, tree.order, tree.errors, surface.edges,
-            x, radius, standoff, tip_radius, *self.rows(first),
-        )  # fmt: skip
-        return m, reach
-
-    def cut(self, m: int, radius: float) -> Planes:
-        """The first m planes as arrays of their own."""
-        return Planes(
-            self.normals[:m].copy(),
-            self.offsets[:m].copy(),
-            self.points[:m].copy(),
-            self.triangles[:m].copy(),
-            self.rules[:m].copy(),
-            radius,
-            self.floors[:m].copy(),
-        )
+    """`certified_planes` for arguments that are known to be sound."""
+    planes = np.empty((BUDGET, PLANE))
+    tree = surface.tree
+    m, reach = walk_alone(
+        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
+        x, radius, standoff, tip_radius, EASE, planes,
+    )  # fmt: skip
+    return planes_of(planes[:m], reach)
 
 
 @njit(cache=True, nogil=True)
-def _push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
+def _push(queue, size, key, item):  # type: ignore[no-untyped-def]
     i = size
     while i > 0:
         parent = (i - 1) >> 1
-        if keys[parent] <= key:
+        if queue[parent, 0] <= key:
             break
-        keys[i] = keys[parent]
-        items[i] = items[parent]
+        queue[i, 0], queue[i, 1] = queue[parent, 0], queue[parent, 1]
         i = parent
-    keys[i] = key
-    items[i] = item
+    queue[i, 0], queue[i, 1] = key, item
 
 
 @njit(cache=True, nogil=True)
-def _pop(keys, items, size):  # type: ignore[no-untyped-def]
+def _pop(queue, size):  # type: ignore[no-untyped-def]
     """Remove the root of a heap of `size` entries (read it before)."""
     size -= 1
     # The hole goes down to a leaf, and the last entry, which belongs near the leaves, goes in
@@ -185,12 +155,11 @@ def _pop(keys, items, size):  # type: ignore[no-untyped-def]
     i = 0
     child = 1
     while child < size:
-        child += keys[child + 1] < keys[child]  # at most the last entry itself
-        keys[i] = keys[child]
-        items[i] = items[child]
+        child += queue[child + 1, 0] < queue[child, 0]  # at most the last entry itself
+        queue[i, 0], queue[i, 1] = queue[child, 0], queue[child, 1]
         i = child
         child = 2 * i + 1
-    _push(keys, items, i, keys[size], items[size])
+    _push(queue, i, queue[size, 0], queue[size, 1])
 
 
 @njit(cache=True, nogil=True)
@@ -204,12 +173,12 @@ def _less(d2, rim, far):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _box_behind(nodes, node, normals, limits, bumps, less, near, seen, m):  # type: ignore[no-untyped-def]
+def _box_behind(nodes, node, planes, less, near, seen, m):  # type: ignore[no-untyped-def]
     """Whether a node's box is wholly behind one of the planes seen … m − 1, rounding included."""
     cx, cy, cz = nodes[node, 0], nodes[node, 1], nodes[node, 2]
     for i in range(seen, m):
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        top = nx * cx + ny * cy + nz * cz - limits[i] + less * bumps[i]
+        nx, ny, nz = planes[i, NORMAL], planes[i, NORMAL + 1], planes[i, NORMAL + 2]
+        top = nx * cx + ny * cy + nz * cz - planes[i, LIMIT] + less * planes[i, BUMP]
         if top >= 0.0:
             continue
         for k in range(3):
@@ -235,14 +204,14 @@ def _rounding(corners, t, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _triangle_behind(corners, t, normals, limits, bumps, less, near, seen, m):  # type: ignore[no-untyped-def]
+def _triangle_behind(corners, t, planes, less, near, seen, m):  # type: ignore[no-untyped-def]
     """Whether a triangle is wholly behind one of the planes seen … m − 1: most need no clipping."""
     if seen == m:
         return False
     rounding = _rounding(corners, t, near)
     for i in range(seen, m):
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        limit = limits[i] - less * bumps[i] - rounding
+        nx, ny, nz = planes[i, NORMAL], planes[i, NORMAL + 1], planes[i, NORMAL + 2]
+        limit = planes[i, LIMIT] - less * planes[i, BUMP] - rounding
         if (
             nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2] < limit
             and nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5] < limit
@@ -277,7 +246,7 @@ def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _remainder(corners, t, normals, limits, bumps, less, rounding, m, polygon, spare):  # type: ignore[no-untyped-def]
+def _remainder(corners, t, planes, less, rounding, m, polygon, spare):  # type: ignore[no-untyped-def]
     """Clip triangle t to what no plane covers: corner count, and whether it is in `spare`."""
     for j in range(3):
         for k in range(3):
@@ -285,8 +254,8 @@ def _remainder(corners, t, normals, limits, bumps, less, rounding, m, polygon, s
     count = 3
     swapped = False
     for i in range(m):
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        limit = limits[i] - less * bumps[i] - rounding
+        nx, ny, nz = planes[i, NORMAL], planes[i, NORMAL + 1], planes[i, NORMAL + 2]
+        limit = planes[i, LIMIT] - less * planes[i, BUMP] - rounding
         if swapped:
             count = _clip(spare, polygon, count, nx, ny, nz, limit)
         else:
@@ -338,30 +307,35 @@ def _polygon_within(polygon, count, x, y, z, reach):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _cover(  # type: ignore[no-untyped-def]
-    nodes, corners, order, errors, edges, p, radius, standoff, tip_radius,
-    normals, offsets, points, triangles, rules, floors,
+def walk(  # type: ignore[no-untyped-def]
+    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+    planes, first, queue, polygons,
 ):  # fmt: skip
-    """Fill the fields of `Planes`, see `certified_planes`; their number and the valid radius."""
+    """Planes for a tip at p (3,), from row `first` on: their number and the radius they hold in.
+
+    Args:
+        nodes, corners, order, slivers: a `pdtree.Tree`.
+        edges: (≥ m, 3) values of `Edge`, the caller's triangles.
+        walls: triangles (a, b, b) stand for walls through a and b along z, and p[2] is 0.
+        ease: `EASE`, or less.
+        planes: (k, PLANE) written; at most `BUDGET` of them.
+        queue, polygons: (HEAP, 2), (2, ≥ CORNERS, 3) to work in.
+    """
     # An entry of the queue knows only so many planes, whatever room there is for more.
-    budget = min(offsets.shape[0], BUDGET)
+    budget = min(planes.shape[0] - first, BUDGET)
+    planes = planes[first:]
+    polygon, spare = polygons[0], polygons[1]
     x, y, z = p[0], p[1], p[2]
     near = ROUND * (max(abs(x), abs(y), abs(z)) + radius + tip_radius)
     # By what a computed distance to a box or a triangle (but a sliver) may be too large.
     blur = EXACT + near
     reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
     reach2 = reach * reach
-    # A point z of the mesh is behind plane i when n·z < limits[i], of which bumps[i] is for bumps
-    # and counts less and less for triangles nearer than `far`.
-    limits = np.empty(budget)
-    bumps = np.empty(budget)
+    # A point z of the mesh is behind plane i when n·z is below its LIMIT, of which its BUMP is for
+    # bumps and counts less and less for triangles nearer than `far`.
     far = tip_radius + NEAR * standoff
-    # A waiting node is its number, a waiting triangle −1 − its number; times SEEN, plus the number
-    # of planes it has already been tested against.
-    keys = np.empty(HEAP)
-    items = np.empty(HEAP, dtype=np.int64)
-    polygon = np.empty((budget + 4, 3))
-    spare = np.empty((budget + 4, 3))
+    # The queue holds squared distances and items. A waiting node is its number, a waiting triangle
+    # −1 − its number; times SEEN, plus the number of planes it has already been tested against.
     m = 0
     valid = radius
     size = 0
@@ -374,13 +348,13 @@ def _cover(  # type: ignore[no-untyped-def]
     while True:
         d2 = next2
         item = next_item
-        if size > 0 and keys[0] < next2:
-            d2 = keys[0]
-            item = items[0]
-            _pop(keys, items, size)
+        if size > 0 and queue[0, 0] < next2:
+            d2 = queue[0, 0]
+            item = int(queue[0, 1])
+            _pop(queue, size)
             size -= 1
             if next2 <= reach2:
-                _push(keys, items, size, next2, next_item)
+                _push(queue, size, next2, next_item)
                 size += 1
         next2 = np.inf
         if d2 > reach2:
@@ -389,7 +363,7 @@ def _cover(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = _less(d2, tip_radius, far)
         if item >= 0:
-            if _box_behind(nodes, item, normals, limits, bumps, less, near, seen, m):
+            if _box_behind(nodes, item, planes, less, near, seen, m):
                 continue
             link = nodes[item, 15]
             if link > 0.0:
@@ -403,15 +377,15 @@ def _cover(  # type: ignore[no-untyped-def]
                 if link > 0.0:
                     e2 = box_distance2(nodes, entry, x, y, z)
                     if e2 <= reach2 and _box_behind(
-                        nodes, entry, normals, limits, bumps, _less(e2, tip_radius, far), near, 0, m
+                        nodes, entry, planes, _less(e2, tip_radius, far), near, 0, m
                     ):
                         continue
                 else:
-                    if _triangle_behind(corners, entry, normals, limits, bumps, less, near, 0, m):
+                    if _triangle_behind(corners, entry, planes, less, near, 0, m):
                         continue
                     e2 = triangle_distance2(corners, entry, x, y, z)
-                    if errors[entry] > 0.0:
-                        e2 = max(np.sqrt(e2) - errors[entry], 0.0) ** 2
+                    if slivers[entry] > 0.0:
+                        e2 = max(np.sqrt(e2) - slivers[entry], 0.0) ** 2
                 # A box's bound may round to just above its parent's triangles: never go back.
                 e2 = max(e2, d2)
                 if e2 > reach2:
@@ -421,17 +395,15 @@ def _cover(  # type: ignore[no-untyped-def]
                     e2, next2 = next2, e2
                     new, next_item = next_item, new
                 if e2 <= reach2:
-                    _push(keys, items, size, e2, new)
+                    _push(queue, size, e2, new)
                     size += 1
             continue
 
         t = -1 - item
-        if _triangle_behind(corners, t, normals, limits, bumps, less, near, seen, m):
+        if _triangle_behind(corners, t, planes, less, near, seen, m):
             continue
         rounding = _rounding(corners, t, near)
-        corners_left, swapped = _remainder(
-            corners, t, normals, limits, bumps, less, rounding, m, polygon, spare
-        )
+        corners_left, swapped = _remainder(corners, t, planes, less, rounding, m, polygon, spare)
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
@@ -442,25 +414,9 @@ def _cover(  # type: ignore[no-untyped-def]
             valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = _separate(
-            corners,
-            order,
-            edges,
-            t,
-            rest,
-            corners_left,
-            px,
-            py,
-            pz,
-            rest2,
-            rounding,
-            tip_radius,
-            x,
-            y,
-            z,
-            normals,
-            limits,
-            m,
-        )
+            corners, order, edges, walls, t, rest, corners_left, px, py, pz, rest2, rounding,
+            tip_radius, x, y, z, planes, m,
+        )  # fmt: skip
         room = nx * x + ny * y + nz * z
         clear = room - base
         faint = FAINT * rounding
@@ -479,55 +435,61 @@ def _cover(  # type: ignore[no-untyped-def]
                 # Below the standoff a tool between two walls may go as near to the farther one as
                 # it is to the nearer one: it keeps to the middle.
                 kept = min(space, max(nearest, faint))
-            ease = EASE * m * (space - kept)
-            offset = min(base + tip_radius + kept + ease, room - min(YIELD, YIELD_SHARE * space))
-            limits[m] = max(base + BUMP * kept + ease, low)
-            bumps[m] = min(BUMP * kept, limits[m] - low)
-            floors[m] = limits[m] + tip_radius
+            eased = ease * m * (space - kept)
+            offset = min(base + tip_radius + kept + eased, room - min(YIELD, YIELD_SHARE * space))
+            limit = max(base + BUMPY * kept + eased, low)
+            bump = min(BUMPY * kept, limit - low)
+            floor = limit + tip_radius
         else:
             # The tip overlaps the triangle: what can be promised is about its centre, and that it
             # comes no nearer to anything than it is to the nearest.
             kept = max(deepest, 0.5 * faint)
             offset = room - min(YIELD, YIELD_SHARE * kept)
-            limits[m] = max(low, room - kept)
-            bumps[m] = 0.0
-            floors[m] = limits[m]
-        normals[m, 0], normals[m, 1], normals[m, 2] = nx, ny, nz
-        offsets[m] = offset
-        points[m, 0], points[m, 1], points[m, 2] = px, py, pz
-        triangles[m] = order[t]
-        rules[m] = rule
+            limit = max(low, room - kept)
+            bump = 0.0
+            floor = limit
+        plane = planes[m]
+        plane[NORMAL], plane[NORMAL + 1], plane[NORMAL + 2] = nx, ny, nz
+        plane[OFFSET] = offset
+        plane[FLOOR] = floor
+        plane[FOOT], plane[FOOT + 1], plane[FOOT + 2] = px, py, pz
+        plane[TRIANGLE] = order[t]
+        plane[RULE] = rule
+        plane[FIXTURE] = plane[CAPSULE] = plane[POINT] = plane[PUSH] = 0.0
+        plane[LIMIT] = limit
+        plane[BUMP] = bump
         m += 1
     return m, valid
 
 
-@njit(cache=True)
-def _cover_held(  # type: ignore[no-untyped-def]
-    nodes, corners, order, errors, edges, p, radius, standoff, tip_radius,
-    normals, offsets, points, triangles, rules, floors,
+@njit(cache=True, nogil=True)
+def walk_alone(  # type: ignore[no-untyped-def]
+    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease, planes
 ):  # fmt: skip
-    """`_cover` without letting go of the interpreter."""
-    return _cover(
-        nodes, corners, order, errors, edges, p, radius, standoff, tip_radius,
-        normals, offsets, points, triangles, rules, floors,
+    """`walk` with room of its own to work in, for a single call from Python."""
+    return walk(
+        nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+        planes, 0, np.empty((HEAP, 2)), np.empty((2, CORNERS, 3)),
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
 def _separate(  # type: ignore[no-untyped-def]
-    corners, order, edges, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z,
-    normals, limits, m,
+    corners, order, edges, walls, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z,
+    planes, m,
 ):  # fmt: skip
     """A plane with the `rest` of triangle t behind it: rule, normal, base offset, point.
 
     The base is the largest n·z over the corners, so it bounds the triangle whatever was rounded.
-    normals, limits: of the m planes so far.
+    planes: the m so far.
     """
     c = corners[t]
     qx, qy, qz, feature, d2 = triangle_at(corners, t, x, y, z)
     d = np.sqrt(d2)
     ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
     vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+    if walls:
+        vx, vy, vz = 0.0, 0.0, 1.0
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     norm = np.sqrt(nx * nx + ny * ny + nz * nz)
     if norm > 0.0:
@@ -541,37 +503,39 @@ def _separate(  # type: ignore[no-untyped-def]
         # A sliver's normal is noise: its corners then do not lie on the plane.
         if base - min(h0, h1, h2) <= 8.0 * rounding:
             s = nx * x + ny * y + nz * z - base
-            if feature == 0 and s > 0.0:
-                return 1, nx, ny, nz, base, qx, qy, qz
+            # What is between its ends is the inside of a wall.
+            if (feature == 0 or (walls and feature <= 3)) and s > 0.0:
+                return FACE, nx, ny, nz, base, qx, qy, qz
             i = order[t]
             valley = False
             seam = False
             if 1 <= feature <= 3:
-                valley = edges[i, feature - 1] == 1
-                seam = edges[i, feature - 1] > 1
+                valley = edges[i, feature - 1] == ACROSS_VALLEY
+                seam = edges[i, feature - 1] >= ACROSS_FLAT
             elif feature >= 4:
                 one, other = edges[i, feature - 4], edges[i, (feature - 2) % 3]
-                valley = one == 1 or other == 1
-                seam = one > 1 or other > 1
+                valley = one == ACROSS_VALLEY or other == ACROSS_VALLEY
+                seam = one >= ACROSS_FLAT or other >= ACROSS_FLAT
             if seam and not valley:
                 # An edge whose neighbours the mesh does not tell, of a triangle that rises from
                 # there out of what a nearer plane covers, is a valley too: were each of its faces
                 # the edge's plane while the tool is nearer to the other, the tool would hop from
                 # the one to the other for ever.
                 for k in range(m):
-                    if normals[k, 0] * qx + normals[k, 1] * qy + normals[k, 2] * qz < limits[k]:
+                    height = planes[k, NORMAL] * qx + planes[k, NORMAL + 1] * qy
+                    if height + planes[k, NORMAL + 2] * qz < planes[k, LIMIT]:
                         valley = True
                         break
             # Judged from the rim of the tip: a plane under the tip's centre by less than its radius
             # would let the rim in.
             if valley and s > tip_radius + VALLEY_ROOM * max(d - tip_radius, 0.0):
-                return 3, nx, ny, nz, base, qx, qy, qz
+                return VALLEY, nx, ny, nz, base, qx, qy, qz
     dx, dy, dz = x - px, y - py, z - pz
     d = np.sqrt(rest2)
     if d == 0.0:
-        return 2, 0.0, 0.0, 0.0, 0.0, px, py, pz
+        return RIDGE, 0.0, 0.0, 0.0, 0.0, px, py, pz
     nx, ny, nz = dx / d, dy / d, dz / d
     base = -np.inf
     for i in range(count):
         base = max(base, nx * rest[i, 0] + ny * rest[i, 1] + nz * rest[i, 2])
-    return 2, nx, ny, nz, base, px, py, pz
+    return RIDGE, nx, ny, nz, base, px, py, pz

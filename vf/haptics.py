@@ -17,13 +17,20 @@ def force(p_tool: ArrayLike, p_proxy: ArrayLike, gain: float, cap: float) -> Flo
         gain: K [N/m].
         cap: what the master can give in its weakest direction [N].
     """
+    F = np.empty(3)
     tool, proxy = np.array(p_tool, dtype=np.float64), np.array(p_proxy, dtype=np.float64)
-    return np.asarray(master_force(tool, proxy, float(gain), float(cap)))
+    master_force(tool, proxy, float(gain), float(cap), F)
+    return F
 
 
 @njit(cache=True)
-def master_force(p_tool, p_proxy, gain, cap):  # type: ignore[no-untyped-def]
-    """`force` as a kernel."""
-    F = gain * (p_tool - p_proxy)
-    size = np.sqrt(F[0] * F[0] + F[1] * F[1] + F[2] * F[2])
-    return F * (cap / size) if size > cap else F
+def master_force(p_tool, p_proxy, gain, cap, F):  # type: ignore[no-untyped-def]
+    """`force` as a kernel: F (≥ 3,) is written."""
+    square = 0.0
+    for k in range(3):
+        F[k] = gain * (p_tool[k] - p_proxy[k])
+        square += F[k] * F[k]
+    size = np.sqrt(square)
+    if size > cap:
+        for k in range(3):
+            F[k] *= cap / size

@@ -1,4 +1,6 @@
-"""Compiled kernels on disk that are what was compiled: sealed, never stale, wherever one can write.
+"""Compiling kernels, and keeping them on disk: sealed, never stale, wherever one can write.
+
+Two things that numba does not give them are here too: arrays found by their address, and the time.
 
 Numba's own files are read as they are: one that is cut short ends every start, one with a flipped
 bit is machine code that gives other planes, and a changed callee is not noticed. Here each file
@@ -12,6 +14,7 @@ import hashlib
 import os
 import pickle
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cached_property
@@ -22,6 +25,8 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
 from numba.core.caching import (
     CacheImpl,
     CompileResultCacheImpl,
@@ -30,9 +35,51 @@ from numba.core.caching import (
     UserProvidedCacheLocator,
 )
 from numba.core.dispatcher import Dispatcher
+from numba.extending import _Intrinsic as Intrinsic
+from numba.extending import intrinsic
 
 SEAL = 32  # bytes
 _said: set[str] = set()
+
+
+def _pointer(kind: Any) -> Any:
+    """An intrinsic that takes an address (int64) for a pointer to numbers of this kind."""
+
+    def pointer(_context: Any, address: Any) -> Any:
+        def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            llvm = _context.get_value_type(types.CPointer(kind))  # type: ignore[attr-defined]
+            return builder.inttoptr(arguments[0], llvm)
+
+        return types.CPointer(kind)(types.int64), code  # type: ignore[attr-defined]
+
+    pointer.__name__ = f"pointer_to_{kind}"
+    return intrinsic(pointer)
+
+
+# For `numba.carray(floats_at(address), shape)`. A call from Python pays for every array it names,
+# more than some kernels take; an address in an array that is passed anyway costs nothing. Whoever
+# writes it down keeps the array alive.
+floats_at = _pointer(types.float64)
+integers_at = _pointer(types.int64)
+bytes_at = _pointer(types.int8)
+
+
+@intrinsic
+def now(_context):  # type: ignore[no-untyped-def]
+    """Monotonic time [s], from the C library: what `time.monotonic` reads."""
+
+    def code(_context, builder, _signature, _arguments):  # type: ignore[no-untyped-def]
+        i32, i64 = ir.IntType(32), ir.IntType(64)
+        place = cgutils.alloca_once(builder, ir.ArrayType(i64, 2))
+        kind = ir.FunctionType(i32, [i32, place.type])
+        read = cgutils.get_or_insert_function(builder.module, kind, "clock_gettime")
+        builder.call(read, [i32(time.CLOCK_MONOTONIC), place])
+        whole, rest = cgutils.unpack_tuple(builder, builder.load(place), 2)
+        seconds = builder.sitofp(whole, ir.DoubleType())
+        parts = builder.sitofp(rest, ir.DoubleType())
+        return builder.fadd(seconds, builder.fmul(parts, ir.DoubleType()(1e-9)))
+
+    return types.float64(), code
 
 
 def njit(cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -68,6 +115,9 @@ def ingredients(function: Callable[..., Any]) -> Iterator[bytes]:
                     if value.py_func not in seen:
                         seen.add(value.py_func)
                         waiting.append(value.py_func)
+                elif isinstance(value, Intrinsic):
+                    for part in _codes(value._defn.__code__):
+                        yield part.co_code + repr(value).encode()
                 elif isinstance(value, np.ndarray):
                     yield repr((name, value.dtype, value.shape)).encode() + value.tobytes()
                 elif isinstance(value, int | float | str | tuple):

@@ -9,6 +9,8 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vf.layout import CAPSULE, FIXTURE, FLOOR, FOOT, NORMAL, OFFSET, RULE, TRIANGLE
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -70,6 +72,9 @@ class Planes:
         floors: (m,) what a *curved* path must not sink below anywhere on its way: with n·p ≥ floor
             for all planes and |p − x| ≤ radius, the tip at p touches nothing [m]. At most the
             offsets; −inf where a plane does not say; None: none does.
+        capsules: (m,) number of the body of the instrument that a plane holds, 0: the tip; None:
+            all of them the tip.
+        fixtures: (m,) number of the controller's fixture that a plane is of; None: of one alone.
     """
 
     normals: FloatArray
@@ -79,6 +84,8 @@ class Planes:
     rules: IntArray
     radius: float
     floors: FloatArray | None = None
+    capsules: IntArray | None = None
+    fixtures: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -93,3 +100,32 @@ class Planes:
     def slack(self, y: FloatArray) -> FloatArray:
         """Signed room n·y − o of a tip centre y (3,) at every plane, (m,) [m]."""
         return self.normals @ y - self.offsets
+
+
+def planes_of(records: FloatArray, radius: float) -> Planes:
+    """Planes valid in `radius` [m] from their records (m, PLANE), as arrays of their own."""
+    whole = records[:, [TRIANGLE, RULE, CAPSULE, FIXTURE]].astype(np.int64)
+    return Planes(
+        records[:, NORMAL : NORMAL + 3].copy(),
+        records[:, OFFSET].copy(),
+        records[:, FOOT : FOOT + 3].copy(),
+        whole[:, 0].copy(),
+        whole[:, 1].copy(),
+        radius,
+        records[:, FLOOR].copy(),
+        whole[:, 2].copy(),
+        whole[:, 3].copy(),
+    )
+
+
+def write_records(planes: Planes, fixture: int, records: FloatArray) -> None:
+    """The planes as the first of the records (≥ m, PLANE), all of the tip and of one fixture."""
+    written = records[: len(planes)]
+    written[:] = 0.0
+    written[:, NORMAL : NORMAL + 3] = planes.normals
+    written[:, OFFSET] = planes.offsets
+    written[:, FOOT : FOOT + 3] = planes.points
+    written[:, TRIANGLE] = planes.triangles
+    written[:, RULE] = planes.rules
+    written[:, FLOOR] = -np.inf if planes.floors is None else planes.floors
+    written[:, FIXTURE] = fixture

@@ -1,33 +1,36 @@
 """The least squares problem of a tick from arm, target and planes, and the checks of its answer.
 
-All kernels: what `vf.Controller.step` does between its calls of arm, fixtures and solver.
+All kernels, put together by `vf.tick`. Planes are records (PLANE,), see `vf.layout`. A plane holds
+one guarded point, the row of `places` (p, 3), whose linear Jacobian is that of `jacobians`
+(p, 3, n).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from vf.haptics import master_force
 from vf.kernels import njit
-from vf.qp_kernels import attempt, carve
+from vf.layout import FLOOR, FOOT, NORMAL, OFFSET, POINT, RULE
+from vf.planes import Rule
 
 # Reject targets farther than this from the base [m].
-FARTHEST = 10.0
+FARTHEST_TARGET = 10.0
 # Reject joint positions beyond this [rad or m]: hundreds of turns, and rounding grows with them.
 JOINT_RANGE = 1e4
 # Rows are tightened by this against the planes that are verified, ten times OSQP's tolerance, so
 # that a tick in contact does not miss by rounding [m].
-HAIR = 1e-6
+TIGHTENING = 1e-6
 # Share of what is missing to the standoff that a tick wins back.
 RECOVERY = 0.5
 SWEEPS = 16
+EXIT = int(Rule.EXIT)
 
 
 @njit(cache=True)
-def usable(p, R):  # type: ignore[no-untyped-def]
-    """Whether p (3,) is near enough and R (3, 3) a rotation: finite, orthonormal, right-handed."""
+def usable(R):  # type: ignore[no-untyped-def]
+    """Whether a pose (3, 4) is one: near enough, its rotation orthonormal and right-handed."""
     for k in range(3):
-        if not abs(p[k]) < FARTHEST:
+        if not abs(R[k, 3]) < FARTHEST_TARGET:
             return False
     for i in range(3):
         for j in range(3):
@@ -72,21 +75,22 @@ def rotation_log(R, w):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _prepare(  # type: ignore[no-untyped-def]
-    J, x, R, goal, R_goal, radius, length, q, lowest, highest, task, desired, lower, upper
-):
-    """Weighted task Jacobian, clamped desired step, and the joint bounds of this tick."""
-    n = J.shape[1]
+def desired_step(start, goal, radius, length, desired):  # type: ignore[no-untyped-def]
+    """The step (6,) [m] from one pose (3, 4) to another, each half shortened to `radius` [m].
+
+    Rotation is weighed by `length` [m/rad].
+    """
     turn = np.empty((3, 3))
     w = np.empty(3)
     for i in range(3):
         for j in range(3):
-            turn[i, j] = R_goal[i, 0] * R[j, 0] + R_goal[i, 1] * R[j, 1] + R_goal[i, 2] * R[j, 2]
+            turn[i, j] = goal[i, 0] * start[j, 0] + goal[i, 1] * start[j, 1]
+            turn[i, j] += goal[i, 2] * start[j, 2]
     rotation_log(turn, w)
     move = 0.0
     spin = 0.0
     for k in range(3):
-        desired[k] = goal[k] - x[k]
+        desired[k] = goal[k, 3] - start[k, 3]
         desired[3 + k] = length * w[k]
         move += desired[k] * desired[k]
         spin += desired[3 + k] * desired[3 + k]
@@ -97,77 +101,80 @@ def _prepare(  # type: ignore[no-untyped-def]
             desired[k] *= radius / move
         if spin > radius:
             desired[3 + k] *= radius / spin
-    for j in range(n):
-        for k in range(3):
-            task[k, j] = J[k, j]
-            task[3 + k, j] = length * J[3 + k, j]
-        # A joint pushed beyond its limit may stay or come back, so that zero is always allowed.
-        lower[j] = min(lowest[j] - q[j], 0.0)
-        upper[j] = max(highest[j] - q[j], 0.0)
 
 
 @njit(cache=True)
-def _height(normals, i, x):  # type: ignore[no-untyped-def]
-    """n·x of plane i [m]."""
-    return normals[i, 0] * x[0] + normals[i, 1] * x[1] + normals[i, 2] * x[2]
+def height(plane, x):  # type: ignore[no-untyped-def]
+    """n·x of a plane's record and a point (3,) [m]."""
+    return plane[NORMAL] * x[0] + plane[NORMAL + 1] * x[1] + plane[NORMAL + 2] * x[2]
 
 
 @njit(cache=True)
-def space(normals, points, first, last, x):  # type: ignore[no-untyped-def]
-    """How far x (3,) is in front of the nearest of the planes first … last − 1 [m], inf: none.
-
-    Seen from what gave the planes, their points (m, 3), not from where they stand.
-    """
-    least = np.inf
-    for i in range(first, last):
-        height = _height(normals, i, x) - _height(normals, i, points[i])
-        least = min(least, height)
-    return least
+def room(plane, x):  # type: ignore[no-untyped-def]
+    """How far x (3,) is in front of a plane, seen from what gave it, not from where it stands."""
+    return height(plane, x) - height(plane, plane[FOOT : FOOT + 3])
 
 
 @njit(cache=True)
-def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
-    """Rows n·J Δq ≥ b of the planes; returns the nearest point's distance and the worst deficit.
+def fill_rows(planes, m, places, jacobians, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
+    """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
     A tool below the standoff is asked to come out by a share of what is missing. Walls closer than
     two standoffs cannot both be obeyed, so the requests are first reconciled in the tip's space:
     projections give a motion v, and no row asks for more than v does. Towards the farther of two
     such walls v may go as far as its plane lets it.
+
+    Returns:
+        Distance of the nearest plane's foot, and the worst deficit to the standoff [m].
     """
-    n = J.shape[1]
+    n = rows.shape[1]
     nearest = np.inf
     deficit = 0.0
     for i in range(m):
+        plane = planes[i]
+        point = int(plane[POINT])
+        x, J = places[point], jacobians[point]
         d2 = 0.0
-        height = 0.0
-        level = 0.0
         for k in range(3):
-            d2 += (x[k] - points[i, k]) ** 2
-            height += normals[i, k] * x[k]
-            level += normals[i, k] * points[i, k]
+            d2 += (x[k] - plane[FOOT + k]) ** 2
         nearest = min(nearest, d2)
         for j in range(n):
-            rows[i, j] = normals[i, 0] * J[0, j] + normals[i, 1] * J[1, j] + normals[i, 2] * J[2, j]
-        if rules[i] == 4:
-            bounds[i] = 0.0
+            rows[i, j] = (
+                plane[NORMAL] * J[0, j] + plane[NORMAL + 1] * J[1, j] + plane[NORMAL + 2] * J[2, j]
+            )
+        above = height(plane, x)
+        if plane[RULE] == EXIT:
+            bounds[i] = min(plane[OFFSET] - above, 0.0)  # as it is: nothing to recover from
             continue
-        missing = level + standoff + tip_radius - height
+        missing = height(plane, plane[FOOT : FOOT + 3]) + standoff + tip_radius - above
         deficit = max(deficit, missing)
         # A plane moved beyond the standoff is obeyed, but being on it is nothing to recover from.
-        missing = max(missing, min(offsets[i] - height, 0.0)) + HAIR
+        missing = max(missing, min(plane[OFFSET] - above, 0.0)) + TIGHTENING
         bounds[i] = RECOVERY * missing if missing > 0.0 else missing
     nearest = np.sqrt(nearest)
-    if deficit + HAIR <= 0.0:
-        return nearest, deficit
-    v0 = v1 = v2 = 0.0
+    if deficit + TIGHTENING > 0.0:
+        _reconcile(planes, m, places, bounds)
+    return nearest, deficit
+
+
+@njit(cache=True)
+def _along(plane, v):  # type: ignore[no-untyped-def]
+    """n·v."""
+    return plane[NORMAL] * v[0] + plane[NORMAL + 1] * v[1] + plane[NORMAL + 2] * v[2]
+
+
+@njit(cache=True)
+def _reconcile(planes, m, places, bounds):  # type: ignore[no-untyped-def]
+    """Lower what the rows ask for to what one motion of the tip can give, see `fill_rows`."""
+    v = np.zeros(3)
+    moved = False
     for _ in range(SWEEPS):
         moved = False
         for i in range(m):
-            gap = bounds[i] - (normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2)
+            gap = bounds[i] - _along(planes[i], v)
             if gap > 1e-10:
-                v0 += gap * normals[i, 0]
-                v1 += gap * normals[i, 1]
-                v2 += gap * normals[i, 2]
+                for k in range(3):
+                    v[k] += gap * planes[i, NORMAL + k]
                 moved = True
         if not moved:
             break
@@ -178,38 +185,37 @@ def _rows(normals, offsets, points, rules, m, x, J, standoff, tip_radius, rows, 
         for i in range(m):
             for j in range(m):
                 if i != j and bounds[j] > 0.0:
-                    alike[i] += max(_height(normals, i, normals[j]), 0.0)
-        v0 = v1 = v2 = 0.0
+                    alike[i] += max(_along(planes[i], planes[j, NORMAL : NORMAL + 3]), 0.0)
+        g = np.empty(3)
+        v[:] = 0.0
         for _ in range(SWEEPS):
-            g0 = g1 = g2 = total = 0.0
+            g[:] = 0.0
+            total = 0.0
             for i in range(m):
-                gap = bounds[i] - (normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2)
+                gap = bounds[i] - _along(planes[i], v)
                 if gap > 1e-10:
                     weight = 1.0 / alike[i]
-                    g0 += weight * gap * normals[i, 0]
-                    g1 += weight * gap * normals[i, 1]
-                    g2 += weight * gap * normals[i, 2]
+                    for k in range(3):
+                        g[k] += weight * gap * planes[i, NORMAL + k]
                     total += weight
             if total == 0.0:
                 break
-            v0 += g0 / total
-            v1 += g1 / total
-            v2 += g2 / total
+            for k in range(3):
+                v[k] += g[k] / total
     share = 1.0
     for i in range(m):
-        gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
+        gain = _along(planes[i], v)
         if gain < min(bounds[i], 0.0):
             # Half of the room there is, as the tip's path is not straight.
-            room = bounds[i]
-            if room > 0.0:
-                room = 0.5 * (offsets[i] - _height(normals, i, x))
-            if gain < room:
-                share = min(share, max(room / gain, 0.0))
+            left = bounds[i]
+            if left > 0.0:
+                x = places[int(planes[i, POINT])]
+                left = 0.5 * (planes[i, OFFSET] - height(planes[i], x))
+            if gain < left:
+                share = min(share, max(left / gain, 0.0))
     for i in range(m):
         if bounds[i] > 0.0:
-            gain = normals[i, 0] * v0 + normals[i, 1] * v1 + normals[i, 2] * v2
-            bounds[i] = min(bounds[i], share * gain)
-    return nearest, deficit
+            bounds[i] = min(bounds[i], share * _along(planes[i], v))
 
 
 @njit(cache=True)
@@ -271,135 +277,26 @@ def farthest(J, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def obeys(normals, offsets, floors, m, radius, longest, x, y, bulge):  # type: ignore[no-untyped-def]
-    """Whether a step from x to y, and its path, keep to the ball and the first m planes.
+def obeys(planes, m, places, trials, bulges, radius, longest):  # type: ignore[no-untyped-def]
+    """Whether steps from `places` to `trials` (p, 3), and their paths, keep to ball and planes.
 
     Args:
-        floors: (≥ m,) what the path must not sink below, see `Planes`.
+        planes: records, of which the first m count.
+        bulges: (p,) how far a path may leave its chord [m].
         radius: that the planes are valid in [m].
-        longest: the step may be [m].
-        bulge: how far the path may leave the chord [m].
+        longest: a step may be [m].
     """
-    d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
-    if not (np.sqrt(d2) + bulge <= radius and d2 <= longest * longest):
-        return False
-    for i in range(m):
-        height = normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2]
-        if not height >= offsets[i]:
+    for p in range(places.shape[0]):
+        x, y = places[p], trials[p]
+        d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
+        if not (np.sqrt(d2) + bulges[p] <= radius and d2 <= longest * longest):
             return False
-        start = normals[i, 0] * x[0] + normals[i, 1] * x[1] + normals[i, 2] * x[2]
-        if not min(height, start) - bulge >= floors[i]:
-            return False
-    return True
-
-
-# Rows of the table that a controller hands to `plan` and `report`, each (n,) …
-TASK, LOWER, UPPER, LOWEST, HIGHEST, REACH, HORIZON, REVOLUTE = 0, 6, 7, 8, 9, 10, 11, 12
-TABLE = 13
-# … and entries of its list of numbers.
-DESIRED, STANDOFF, TIP_RADIUS, LENGTH, DAMPING, GAIN, CAP, TIP_REACH, GUARDED, BULGE = (
-    0, 6, 7, 8, 9, 10, 11, 12, 13, 14
-)  # fmt: skip
-NUMBERS = 15
-
-
-@njit(cache=True)
-def plan(  # type: ignore[no-untyped-def]
-    q, T, J, goal, normals, offsets, points, rules, m, radius,
-    table, numbers, G, b, scratch, multipliers, q_new,
-):  # fmt: skip
-    """From planes to the joint positions to be checked, as far as no other library is needed.
-
-    Args:
-        q: (n,) joint positions.
-        T, goal: (4, 4) poses of tip and target.
-        J: (6, n).
-        normals, offsets, points, rules: fields of `Planes`, of which the first m count.
-        radius: they are valid in.
-        table, numbers: see `TASK` and `DESIRED`; task, bounds and desired step are written.
-        G, b: (≥ m, n), (≥ m,) the planes' rows, written.
-        scratch, multipliers: of `ConstrainedLeastSquares`, written.
-        q_new: (n,) written where no rows are left for OSQP.
-
-    Returns:
-        Code of the `Solver`, −1: the goal is not usable; rows left for OSQP; distance of the
-        nearest plane's point [m]; worst deficit to the standoff [m]; whether q_new is another q.
-    """
-    if not usable(goal[:3, 3], goal[:3, :3]):
-        return -1, 0, np.inf, 0.0, False
-    x = T[:3, 3]
-    desired = numbers[:6]
-    lower, upper = table[LOWER], table[UPPER]
-    _prepare(
-        J, x, T[:3, :3], goal[:3, 3], goal[:3, :3], radius, numbers[LENGTH],
-        q, table[LOWEST], table[HIGHEST], table[:6], desired, lower, upper,
-    )  # fmt: skip
-    nearest, deficit = _rows(
-        normals, offsets, points, rules, m, x, J, numbers[STANDOFF], numbers[TIP_RADIUS], G, b
-    )
-    solver, count = attempt(
-        table[:6], desired, numbers[DAMPING], G, b, lower, upper, table[HORIZON],
-        m, scratch, multipliers,
-    )  # fmt: skip
-    moves = False
-    if count == 0:
-        moves = move(q, J, scratch, table, numbers, q_new)
-    return solver, count, nearest, deficit, moves
-
-
-@njit(cache=True)
-def move(q, J, scratch, table, numbers, q_new):  # type: ignore[no-untyped-def]
-    """q_new = q + the solver's step, shortened to what a tick allows; whether there is one.
-
-    How far the tip may leave the chord on the way is left in the numbers.
-    """
-    n = q.shape[0]
-    dq = carve(scratch, n)[3]
-    share = pace(dq, table[REACH], J, numbers[TIP_REACH])
-    moves = False
-    for j in range(n):
-        step = share * dq[j]
-        moves |= step != 0.0
-        # The sum may round to just beyond a limit.
-        q_new[j] = min(max(q[j] + step, min(table[LOWEST, j], q[j])), max(table[HIGHEST, j], q[j]))
-    numbers[BULGE] = sagitta(J, dq, share, table[REVOLUTE]) if numbers[GUARDED] > 0.0 else 0.0
-    return moves
-
-
-@njit(cache=True)
-def report(  # type: ignore[no-untyped-def]
-    q_new, T, T_new, goal, normals, offsets, points, triangles, rules, floors, m, radius, longest,
-    table, numbers, multipliers, check, whole, out,
-):  # fmt: skip
-    """Check the tip at q_new, and write what there is to say about it: whether it may go there.
-
-    Args:
-        T, T_new, goal: (4, 4) poses of the tip before and after, and of the target.
-        check: False: it stays where it is, or was checked before.
-        whole: whether the planes are written too.
-        out: written if it may: force (3), limits of the joints (n), multipliers (m), and where
-            `whole` normals (3m), offsets (m), points (3m), triangles (m), rules (m).
-    """
-    x, y = T[:3, 3], T_new[:3, 3]
-    if check and not obeys(normals, offsets, floors, m, radius, longest, x, y, numbers[BULGE]):
-        return False
-    n = q_new.shape[0]
-    out[:3] = master_force(y, goal[:3, 3], numbers[GAIN], numbers[CAP])
-    for j in range(n):
-        if q_new[j] >= table[HIGHEST, j]:
-            out[3 + j] = 1.0
-        else:
-            out[3 + j] = -1.0 if q_new[j] <= table[LOWEST, j] else 0.0
-    at = 3 + n
     for i in range(m):
-        out[at + i] = multipliers[i]
-    if whole:
-        at += m
-        for i in range(m):
-            for k in range(3):
-                out[at + 3 * i + k] = normals[i, k]
-                out[at + 4 * m + 3 * i + k] = points[i, k]
-            out[at + 3 * m + i] = offsets[i]
-            out[at + 7 * m + i] = triangles[i]
-            out[at + 8 * m + i] = rules[i]
+        plane = planes[i]
+        p = int(plane[POINT])
+        end = height(plane, trials[p])
+        if not end >= plane[OFFSET]:
+            return False
+        if not min(end, height(plane, places[p])) - bulges[p] >= plane[FLOOR]:
+            return False
     return True

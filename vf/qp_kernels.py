@@ -8,20 +8,25 @@ from __future__ import annotations
 import numpy as np
 
 from vf.kernels import njit
+from vf.solver import Solver
 
-WORDS = 4  # numbers a row takes in the scratch besides its n coefficients
-NONE = 3  # code of `Solver.INFEASIBLE`
+EXTRA = 4  # numbers a row takes in the scratch besides its n coefficients
+# What `reduce` answers where there are no rows to look at.
+FREE_ROWS, NO_WAY = 0, -1
+CHANGES = 4  # of the active rows that `finish` may make, for each joint
+FREE, SOLVED, INFEASIBLE = int(Solver.FREE), int(Solver.SOLVED), int(Solver.INFEASIBLE)
+PROJECTED = int(Solver.PROJECTED)
 
 
 def scratch_size(n: int, rows: int) -> int:
     """Length of the scratch for n joints and that many rows, the joints' bounds among them."""
-    return n * n + 3 * n + rows * (n + WORDS)
+    return n * n + 3 * n + rows * (n + EXTRA)
 
 
 @njit(cache=True, inline="always")
 def carve(scratch, n):  # type: ignore[no-untyped-def]
     """Parts: factor (n, n), best, x, dq (n,), rows (r, n), bounds, scales, y, origin (r,)."""
-    rows = (scratch.shape[0] - n * n - 3 * n) // (n + WORDS)
+    rows = (scratch.shape[0] - n * n - 3 * n) // (n + EXTRA)
     a = n * n
     b = a + 3 * n
     c = b + rows * n
@@ -43,7 +48,9 @@ def reduce(  # type: ignore[no-untyped-def]
     J, d, damping, G, b, lower, upper, pace, m,
     factor, best, rows, bounds, scales, origin, dq,
 ):  # fmt: skip
-    """Factor, unconstrained optimum and the rows that matter; 0 rows: `dq` is the answer, −1: none.
+    """Factor, unconstrained optimum and how many rows matter.
+
+    FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows.
 
     `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
     """
@@ -87,7 +94,7 @@ def reduce(  # type: ignore[no-untyped-def]
     for j in range(n):
         free &= lower[j] <= dq[j] <= upper[j]
     if free:
-        return 0
+        return FREE_ROWS
 
     length = 0.0
     for j in range(n):
@@ -124,7 +131,7 @@ def reduce(  # type: ignore[no-untyped-def]
         norm = np.sqrt(norm)
         if norm < 1e-12:  # no joint moves the tip along this normal
             if bound > 0.0:
-                return -1
+                return NO_WAY
             continue
         bound *= 1e3 / norm
         if 0.5 * middle / norm - half > bound + 1e-9:
@@ -264,7 +271,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
 
 @njit(cache=True)
 def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """All that can be had without OSQP for the first m rows of G: solver and 0, or rows for OSQP.
+    """All that can be had without a solver for the first m rows of G: how, and rows left for one.
 
     The answer is `dq` of the scratch and `multipliers`, written from the start.
     """
@@ -275,40 +282,30 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
     count = reduce(
         J, d, damping, G, b, lower, upper, pace, m, factor, best, rows, bounds, scales, origin, dq
     )
-    if count == 0:
-        return 0, 0
-    if count < 0:
+    if count == FREE_ROWS:
+        return FREE, 0
+    if count == NO_WAY:
         dq[:] = 0.0
-        return NONE, 0
+        return INFEASIBLE, 0
     mark_worst(best, rows, bounds, count, y)
     if settle(best, rows, bounds, count, 0, x, y):
         recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
-        return 5, 0
+        return PROJECTED, 0
     dq[:] = 0.0
-    return 1, count
+    return SOLVED, count
 
 
 @njit(cache=True)
-def finish(osqp_x, osqp_y, count, changes, lower, upper, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """OSQP's answer made exact by its active set, and taken back to the joints; whether it is."""
-    n = osqp_x.shape[0]
+def finish(u, duals, count, lower, upper, scratch, multipliers):  # type: ignore[no-untyped-def]
+    """A solver's answer made exact by its active set, and taken back to the joints; whether it is.
+
+    Args:
+        u, duals: (n,), (≥ count,), see `vf.solver.Backend`.
+    """
+    n = u.shape[0]
     factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
-    x[:] = osqp_x
-    y[:count] = osqp_y[:count]
-    exact = settle(best, rows, bounds, count, changes, x, y)
+    x[:] = u
+    y[:count] = duals[:count]
+    exact = settle(best, rows, bounds, count, CHANGES * n, x, y)
     recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
     return exact
-
-
-@njit(cache=True)
-def pack(scratch, count, values, low, linear):  # type: ignore[no-untyped-def]
-    """The problem as OSQP wants it: A by columns, lower bounds, linear term."""
-    n = linear.shape[0]
-    _factor, best, _x, _dq, rows, bounds, _scales, _y, _origin = carve(scratch, n)
-    size = low.shape[0]
-    for i in range(size):
-        low[i] = bounds[i] if i < count else -np.inf
-        for j in range(n):
-            values[j * size + i] = rows[i, j] if i < count else 0.0
-    for j in range(n):
-        linear[j] = -best[j]

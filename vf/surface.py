@@ -240,11 +240,12 @@ class Surface:
         return distance, tree[2].item(row), point
 
     @cached_property
-    def _solid(self) -> tuple[bool, Moments]:
+    def _solid(self) -> tuple[bool, Moments, NDArray[np.bool_]]:
         if self._manifold:
-            return True, moments(self.tree, np.ones(len(self.faces), dtype=bool))
-        first, closed = _closedness(self.vertices, self.faces)
-        return closed, moments(self.tree, first)
+            none = np.zeros(len(self.faces), dtype=bool)
+            return True, moments(self.tree, ~none), none
+        proper, repeated, closed = _closedness(self.vertices, self.faces)
+        return closed, moments(self.tree, proper & ~repeated), repeated
 
     @property
     def closed(self) -> bool:
@@ -256,6 +257,16 @@ class Surface:
         winding number says inside where there is none.
         """
         return self._solid[0]
+
+    @property
+    def repeats(self) -> NDArray[np.bool_]:
+        """(m,) whether a face has the corners of an earlier one, either way round."""
+        return self._solid[2]
+
+    @cached_property
+    def distance_error(self) -> float:
+        """How much a computed distance can exceed the true one, beside rounding [m]: slivers."""
+        return float(self.tree.errors.max())
 
     def winding(self, x: ArrayLike) -> float:
         """Generalised winding number of the surface around x (3,), repeated faces counted once."""
@@ -370,8 +381,10 @@ def _pair(e, g, vertices, faces, normals, neighbours, kinds):  # type: ignore[no
         kinds[i, k] = 2
 
 
-def _closedness(vertices: FloatArray, faces: IntArray) -> tuple[NDArray[np.bool_], bool]:
-    """(m,) whether a face is the first of its kind and has three corners, and closedness."""
+def _closedness(
+    vertices: FloatArray, faces: IntArray
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
+    """(m,) whether a face has three corners, (m,) whether it repeats another, and closedness."""
     # Adding zero turns −0.0 into 0.0, which is the same place.
     rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()
     _, place = np.unique(rows, return_inverse=True)
@@ -384,11 +397,11 @@ def _closedness(vertices: FloatArray, faces: IntArray) -> tuple[NDArray[np.bool_
     repeated[rank[1:]] = (ranked[1:] == ranked[:-1]).all(axis=1)
     first = proper & ~repeated
     if not first.any():
-        return first, False
+        return proper, repeated, False
     kept = np.ascontiguousarray(corners[first])
     keys = edge_keys(kept, len(vertices))
     forward = np.where(kept < kept[:, [1, 2, 0]], 1, -1).ravel()
     rank = np.argsort(keys)
     keys, forward = keys[rank], forward[rank]
     starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    return first, not np.add.reduceat(forward, starts).any()
+    return proper, repeated, not np.add.reduceat(forward, starts).any()

@@ -1,1 +1,1 @@
-"""Measurements: run time over mesh sizes, other libraries beside ours, the control thread."""
+"""Benchmarks: run time over mesh sizes, comparison with other libraries, the control thread."""

@@ -1,11 +1,8 @@
-"""`bench view`: how soon the page shows what a drag did, and how many pictures a second it draws.
+"""`bench view`: latency from a drag to its display on the page, and the page's frame rate.
 
-In a window as people have one, at its full pixel ratio; the result says what was drawn with.
-
-The browser runs in a process of its own, `-m app.bench.latency URL`, so that driving it takes
-nothing from the interpreter that is being measured. It looks into the page's own messages: those
-that viser's worker is given to send and those that it hands over, so both ends of a delay are
-taken from the page's clock.
+The browser runs in a separate process, `-m app.bench.latency URL`, so that driving it does not load
+the measured interpreter. It records the messages to and from viser's worker, so that both ends of a
+delay are taken from the page's clock.
 """
 
 from __future__ import annotations
@@ -24,12 +21,11 @@ from numpy.typing import NDArray
 from app.bench.tools.settings import View
 from app.bench.tools.watcher import WINDOW, Watcher, answer, browse
 
-RATIO = 1.0  # pixels of the screen for each of the window's
-# Between two drag events: the tool is at rest again and drawn, also without a graphics card [s].
-PAUSE = 0.8
-SETTLE = 3.0  # after the page has opened and before anything is measured [s]
-SHAFT = 0.88  # where along the gizmo's arrow it is grabbed, as a share of its length
-MOVE = 6.0  # of the mouse along the arrow for each drag event [px]
+RATIO = 1.0  # device pixels per CSS pixel
+PAUSE = 0.8  # between two drag events, until the tool is at rest and drawn in software [s]
+SETTLE = 3.0  # from the opening of the page to the measurement [s]
+SHAFT = 0.88  # position on the gizmo's arrow at which it is dragged, as a share of its length
+MOVE = 6.0  # motion of the mouse along the arrow for each drag event [px]
 
 _HOOK = """(() => {
   const log = window.vf = {pointer: 0, sent: [], moved: [], drawn: []};
@@ -59,7 +55,7 @@ _HOOK = """(() => {
 })()"""
 
 
-# What draws, how large, and how often so far: where it is slow, viser draws fewer pixels.
+# Renderer, size of the canvas (viser reduces it on slow machines), and frames drawn so far.
 _PICTURE = """(() => {
   const canvas = document.querySelector('canvas[data-engine]'), gl = canvas.getContext('webgl2');
   const named = gl.getExtension('WEBGL_debug_renderer_info');
@@ -74,24 +70,24 @@ _PICTURE = """(() => {
 
 
 class Dragger(Watcher):
-    """The other end of this module: starts the process and talks to it."""
+    """Starts this module as a process and communicates with it."""
 
     def __init__(self, url: str) -> None:
         """Open the page; raises as `Watcher` does."""
         super().__init__(url, "app.bench.latency")
 
     def ask(self, what: str, **more: Any) -> dict[str, Any]:
-        """Ask for something and wait for the answer."""
-        return self.tell(json.dumps({"do": what, **more}))
+        """Send a request and wait for the answer."""
+        return self.request(json.dumps({"do": what, **more}))
 
 
 def run(
     options: View, say: Callable[[str], None], advance: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Drag, then let the autopilot run; returns what `view.json` holds.
+    """Drag, then run the autopilot; returns the content of `view.json`.
 
     Raises:
-        NoBrowser: there is none to measure with.
+        NoBrowser: no browser is available.
         ValueError: an unusable mesh.
     """
     from app.bench.loop import Tap, summary
@@ -105,7 +101,7 @@ def run(
     prefer_this_process()
     with ExitStack() as stack:
         session = Session(Options(mesh=options.mesh, rate=options.rate, port=0), progress=say)
-        # A slow browser takes its time over each drag.
+        # A slow browser may need several seconds for each drag.
         tap = Tap(session, int(options.rate * (options.seconds + 5.0 * options.drags + 120.0)))
         stack.callback(session.close)
         session.start()
@@ -136,7 +132,7 @@ def run(
         return {
             "what": "vf-sandbox bench view",
             "machine": about,
-            "options": {**asdict(options), "out": str(options.out)},
+            "options": asdict(options),
             "triangles": len(session.scene.surface.faces),
             "drags": len(delays),
             "input to message [ms]": percentiles(delays[:, 0], of),
@@ -152,12 +148,11 @@ def run(
 
 
 def delays_of(log: dict[str, Any]) -> NDArray[np.float64]:
-    """Of each drag that moved the tool: (k, 3) input to message, message to tool, input to picture.
+    """Delays of the drags that moved the tool: (k, 3) input to message, to tool, input to picture.
 
     Args:
-        log: what the page noted [ms]: "sent", pairs of the input's and the message's times;
-            "moved", when the tool's position came; "drawn", pairs of that and of the end of the
-            next frame.
+        log: times in the page [ms]: "sent", pairs of input and message; "moved", arrivals of the
+            tool's position; "drawn", pairs of such an arrival and the end of the next frame.
 
     Raises:
         ValueError: no drag moved the tool.
@@ -175,8 +170,8 @@ def delays_of(log: dict[str, Any]) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def tell(result: dict[str, Any], console: Any) -> None:
-    """The figures as text."""
+def show(result: dict[str, Any], console: Any) -> None:
+    """Print the result."""
     console.print(f"[bold]{result['what']}[/]: {result['triangles']:,} triangles")
     for name in (
         "input to message [ms]",
@@ -207,7 +202,7 @@ def tell(result: dict[str, Any], console: Any) -> None:
 
 
 def _arrow(page: Any, box: dict[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the gizmo's x arrow is in the window, and one move along it (2,) each [px]."""
+    """Position of the gizmo's x arrow in the window, and one move along it, (2,) each [px]."""
     from app.view.proxy import GIZMO_SIZE
 
     (client,) = page.server.get_clients().values()
@@ -257,7 +252,7 @@ def _attend(browser: Any, url: str) -> None:
 def _drag(tab: Any, at: NDArray[np.float64], by: NDArray[np.float64], count: int) -> None:
     """Press at (2,), move by (2,) and back, `count` times in all, let go [px]."""
     tab.mouse.move(*at)
-    tab.wait_for_timeout(1000)  # the page looks for what is under the mouse once a frame
+    tab.wait_for_timeout(1000)  # the page picks the object under the mouse once per frame
     tab.mouse.down()
     tab.wait_for_timeout(1000)
     for k in range(count):

@@ -1,4 +1,4 @@
-"""`bench loop`: is the control thread on time while a browser looks on and other work goes on?"""
+"""`bench loop`: punctuality of the control thread with a browser connected and other load."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from app.settings import Options
 from app.view.page import Page
 from meshes.builtin import ladder
 
-OTHER = "skull-fine"  # what the loading phase changes to and back: 936,456 triangles
-JOINING = 5.0  # a second client comes, and goes, at most this often [s]
+OTHER = "skull-fine"  # second mesh of the loading phase: 936,456 triangles
+JOINING = 5.0  # least interval between connects and disconnects of a second client [s]
 SETTLE = 2.0  # between phases [s]
 LATE = 1e-3  # a tick later than this is not on time [s]
-FIRST_TICK = 60.0  # patience for it [s]
+FIRST_TICK = 60.0  # timeout [s]
 
 
 class Tap:
-    """Notes start, lateness and duration of every tick of a control loop, without allocating."""
+    """Records start, lateness and duration of every tick of a control loop, without allocating."""
 
     def __init__(self, session: Session, room: int) -> None:
-        # Written once, so that what it takes is not seen as growth while it is filled.
+        # Filled now, so that its pages are mapped and do not appear as growth of memory later.
         self._rows = np.full((room, 3), -1.0)
         self.count = 0
-        # The loop tells views a summary per second; every single tick is nobody else's business.
+        # The loop publishes only a summary: intercept its private clock.
         clock = session._loop._clock
         record = clock.record
 
@@ -64,7 +64,7 @@ class Tap:
 def run(
     options: Loop, say: Callable[[str], None], advance: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Go through the phases; returns what `loop.json` holds. See `runtime.run` for the callbacks.
+    """Run the phases; returns the content of `loop.json`. See `runtime.run` for the callbacks.
 
     Raises:
         ValueError: an unusable mesh or setting.
@@ -79,7 +79,7 @@ def run(
         )  # fmt: skip
         began = time.perf_counter()
         session = Session(wanted, progress=say)
-        # Twice the ticks of all phases: loading and settling go on for longer than a phase.
+        # With a margin, since loading may outlast its phase.
         room = int(options.rate * (options.seconds + SETTLE + 30.0) * (len(options.phases) + 1))
         tap = Tap(session, room)
         stack.callback(session.close)
@@ -106,7 +106,7 @@ def run(
     return {
         "what": "vf-sandbox bench loop",
         "machine": about,
-        "options": {**asdict(options), "out": str(options.out)},
+        "options": asdict(options),
         "mesh": name,
         "browser": seen,
         "start": {"first tick [s]": first_tick, "page [s]": ready},
@@ -118,7 +118,7 @@ def run(
 def _mesh(
     options: Loop, stack: ExitStack, say: Callable[[str], None]
 ) -> tuple[str, str | None, str]:
-    """Mesh, unit and description; the ladder's top is written to a file, as a user's mesh is."""
+    """Mesh, unit and description; the largest mesh of the ladder is written to a file first."""
     if options.mesh is not None:
         return options.mesh, options.unit, options.mesh
     shape = ladder.source()
@@ -166,8 +166,8 @@ def _phase(
         **row,
         "overruns": session.latest().stats.overruns - overruns,
         "cpu": busy,
-        # Of the phase, what the control thread spent ready to run with every core taken: other
-        # processes' doing (the browser's too), not the interpreter lock's.
+        # Share of the phase in which the control thread was runnable without a core: the load of
+        # other processes (also the browser's), not the interpreter lock.
         "no core": None
         if waited is None or waited_after is None
         else (waited_after - waited) / elapsed,
@@ -178,9 +178,9 @@ def _phase(
 
 
 def summary(ticks: NDArray[np.float64], elapsed: float, rate: float) -> dict[str, Any]:
-    """How punctual ticks (k, 3) of start, lateness, duration [s] were over `elapsed` [s].
+    """Punctuality of ticks (k, 3) of start, lateness, duration [s] over `elapsed` [s].
 
-    The loop never makes up for lost time, so ticks that a stall swallowed are counted as late.
+    The loop does not make up for lost time: ticks that are missing after a stall count as late.
     """
     starts, late, spent = ticks[:, 0], ticks[:, 1], ticks[:, 2]
     due = max(round(elapsed * rate), len(ticks), 1)
@@ -197,8 +197,8 @@ def summary(ticks: NDArray[np.float64], elapsed: float, rate: float) -> dict[str
     }
 
 
-def tell(result: dict[str, Any], console: Console) -> None:
-    """The result as a table on a terminal."""
+def show(result: dict[str, Any], console: Console) -> None:
+    """Print the result as a table."""
     report.header(result, console)
     console.print(f"mesh: {result['mesh']}; {result['browser']}")
     start = result["start"]
@@ -239,7 +239,7 @@ def tell(result: dict[str, Any], console: Console) -> None:
 
 
 def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None:
-    """Change the mesh to another one and back, until told to stop; end where it began."""
+    """Change the mesh to another one and back until `stop`; end with the original one."""
     mesh, unit = session.options.mesh, session.options.unit
     while not stop.is_set():
         for name, its in ((OTHER, None), (mesh, unit)):
@@ -252,27 +252,27 @@ def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None
 
 
 def _examine(session: Session, stop: threading.Event, done: dict[str, int]) -> None:
-    """Make the health report of the mesh again and again, as its button on the page does."""
+    """Compute the health report of the mesh repeatedly, as its button on the page does."""
     while not stop.is_set():
         meshes.health(session.scene.surface)
         done["reports"] += 1
 
 
 def _join(browser: Watcher, stop: threading.Event, done: dict[str, int]) -> None:
-    """Let a second client come and go."""
+    """Connect and disconnect a second client repeatedly."""
     while not stop.is_set():
         try:
-            done["joins"] += 1  # begun: with software rendering the first picture takes its time
-            browser.tell("join")
+            done["joins"] += 1  # counted at the start: the first frame is slow in software
+            browser.request("join")
             stop.wait(JOINING)
-            browser.tell("leave")
+            browser.request("leave")
         except NoBrowser:
             return
         stop.wait(JOINING)
 
 
 def _waited(session: Session) -> float | None:
-    """Time the control thread has been runnable without a core [s], where Linux tells."""
+    """Time for which the control thread was runnable without a core [s]; None if not Linux."""
     thread = session._loop._thread.native_id
     try:
         return int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[1]) * 1e-9
@@ -284,7 +284,7 @@ def _frames(browser: Watcher | None) -> int | None:
     if browser is None:
         return None
     try:
-        return int(browser.tell("frames")["frames"])
+        return int(browser.request("frames")["frames"])
     except NoBrowser:
         return None
 

@@ -1,4 +1,4 @@
-"""`bench meshes`: from a user's file to a guarded mesh, its report and its repair."""
+"""`bench meshes`: time from a mesh file to a fixture, of the health report, and of the repair."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from app.bench.tools.settings import Meshes
 from app.console import Column, count, show_table
 from meshes.builtin.damage import damage
 
-FLIPPED = 0.02  # share of the faces turned over before the repair
+FLIPPED = 0.02  # share of the faces flipped before the repair
 
 
 def run(
     options: Meshes, say: Callable[[str], None], advance: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Seconds for each step on one mesh, the best of `options.passes`; as data for `tell`."""
+    """Seconds for each step on one mesh, the best of `options.passes`."""
     about = machine()
     say(f"making {options.mesh}")
     vertices, faces = meshes.arrays(options.mesh, unit=options.unit)
@@ -44,7 +44,7 @@ def run(
             vertices, faces, examine=0
         )
         tasks[f"repair of {FLIPPED:.0%} flipped faces"] = lambda: meshes.repair(vertices, flipped)
-        # Kernels are compiled once in an installation: not the measurement's business.
+        # Compile the kernels first: this happens once per installation.
         small = damage("flipped", meshes.arrays("cube"))
         meshes.health(*small, examine=0)
         meshes.repair(*small)
@@ -73,8 +73,8 @@ def run(
     }
 
 
-def tell(result: dict[str, Any], console: Console) -> None:
-    """The table of `run`."""
+def show(result: dict[str, Any], console: Console) -> None:
+    """Print the result of `run`."""
     report.header(result, console)
     show_table(
         console,
@@ -86,7 +86,7 @@ def tell(result: dict[str, Any], console: Console) -> None:
 
 
 def _fixture(path: Path) -> vf.MeshFixture:
-    """Read, index, and ask for the side of a point: all that comes before the first tick."""
+    """Read, build the tree, and query the side of a point: all work before the first tick."""
     vertices, faces = meshes.arrays(path, unit="mm")
     fixture = vf.MeshFixture(vf.Surface.from_arrays(vertices, faces))
     fixture.inside(vertices[0] + 1e-3)

@@ -1,4 +1,4 @@
-"""`bench peers`: the same questions to `vf` and to other libraries, in one run on one machine."""
+"""`bench peers`: the same queries to `vf` and to other libraries, in one run on one machine."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from meshes.builtin import ladder
 FloatArray = NDArray[np.float64]
 Check = Callable[[Sequence[Any], Sequence[int]], tuple[bool, str]]
 
-CHECKED = 100  # questions of a library whose answers are compared
-PATIENCE = 1.0  # a library that needs longer for a round is asked fewer questions [s]
-LEAK = 1e-9  # of a surface sample before every plane, by rounding [m]
+CHECKED = 100  # queries per library whose answers are compared
+PATIENCE = 1.0  # time of a round, by which the number of queries is limited [s]
+LEAK = 1e-9  # tolerance for rounding of a sample in front of every plane [m]
 
 
 def run(
     options: Peers, say: Callable[[str], None], advance: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Measure all libraries; returns what `peers.json` holds. See `runtime.run` for the callbacks.
+    """Measure all libraries; returns the content of `peers.json`; callbacks as in `runtime.run`.
 
     Raises:
-        ValueError: a shape no ladder can be made of.
+        ValueError: a shape that is not usable for a ladder.
     """
     about = machine()
     shape = ladder.source(options.mesh, options.unit)
@@ -103,7 +103,7 @@ def run(
         "what": "vf-sandbox bench peers",
         "source": shape.name,
         "machine": about,
-        "options": {**asdict(options), "out": str(options.out)},
+        "options": asdict(options),
         "tasks": tasks,
         "interrupted": len(tasks) < len(jobs),
         "missing": missing,
@@ -111,10 +111,11 @@ def run(
 
 
 def compare(peers: Sequence[Peer], check: Check, count: int, rounds: int) -> list[dict[str, Any]]:
-    """Ask every peer `count` questions in every round; entries in the peers' order, times in µs.
+    """Time `count` queries of every peer in every round; entries in the peers' order, times in µs.
 
-    Answers are compared first; who is wrong is not timed. Rounds go forwards and backwards in
-    turn, and a ratio is taken within a round, so that a change of load meets all alike.
+    Answers are compared first; a peer with a wrong answer is not timed. The order of the peers is
+    reversed every other round, and ratios are taken within a round, so that a change of load
+    affects all alike.
     """
     verdicts = []
     asked: list[list[int]] = []
@@ -170,7 +171,7 @@ def _timed(peer: Peer, asked: Sequence[int]) -> list[float]:
 def _met(
     surface: vf.Surface, arm: robots.Arm, route: routes.Route, count: int
 ) -> tuple[FloatArray, list[solvers.Problem]]:
-    """Positions (count, 3) that the tool meets on the route, and the QPs of its contacts."""
+    """Positions (count, 3) of the tool on the route, and the QPs in contact."""
     controller = vf.Controller(arm, [vf.MeshFixture(surface, "certified", 5e-3)])
     controller.warm_up()
     points, problems = [], []
@@ -218,7 +219,7 @@ def _planes(bodies: Bodies, radius: float) -> list[Peer]:
 def _check_planes(
     bodies: Bodies, answers: Sequence[Any], chosen: Sequence[int], radius: float
 ) -> tuple[bool, str]:
-    """Whether any sampled point of the mesh in the ball is before every plane."""
+    """Whether no sampled point of the mesh in the ball is in front of every plane."""
     worst, count = -np.inf, 0
     for planes, k in zip(answers, chosen, strict=True):
         if planes is None:

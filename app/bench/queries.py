@@ -1,8 +1,8 @@
-"""The same geometric questions to every library that is installed.
+"""Geometric queries for `bench peers`, for every library that is installed.
 
-Peers get their coordinates in millimetres around the mesh's middle: trimesh has absolute tolerances
+Peers get coordinates in millimetres relative to the mesh's centre: trimesh has absolute tolerances
 that are too coarse in metres, and Open3D and fcpw compute in single precision. Query points are
-converted to what a library wants beforehand, so that its time is its own.
+converted to the library's types beforehand, which is not timed.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from app.bench.tools.reference import Centroids, distances
 FloatArray = NDArray[np.float64]
 Near = tuple[float, int]  # distance [mm], triangle
 
-CONTACTS = 1_000_000  # more than any ball here holds
+CONTACTS = 1_000_000  # upper bound of the triangles in a ball
 TOLERANCE = 1e-3
-"""Distance up to which answers agree [mm]: a micrometre, what single precision can tell here."""
+"""Tolerance of distances [mm]: a micrometre, the resolution of single precision here."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """One way to ask.
+    """One way to make a query.
 
     Attributes:
-        name: for the reader.
-        ask: answers question k as the library does; this is what is timed.
-        read: turns that into a comparable answer; not timed.
-        note: what a reader must know to compare fairly.
+        name: for the table.
+        ask: makes query k; this is timed.
+        read: converts its result into a comparable answer; not timed.
+        note: remark for a fair comparison.
         ours: whether it is `vf`.
     """
 
@@ -47,15 +47,15 @@ class Peer:
 
 @dataclass(frozen=True)
 class Bodies:
-    """The mesh as each library holds it, and the query points; built once.
+    """The mesh and the query points in the coordinates of `vf` and of the peers.
 
     Attributes:
-        surface: in metres, where the arm has it.
-        middle: (3,) [m] origin of the peers' coordinates.
-        points: (k, 3) [m].
-        vertices: (n, 3) [mm] around the middle.
-        centroids: the reference, which is scipy's peer too.
-        missing: reason by library.
+        surface: arm base frame [m].
+        middle: (3,) origin of the peers' coordinates, arm base frame [m].
+        points: (k, 3) arm base frame [m].
+        vertices: (n, 3) peers' coordinates [mm].
+        centroids: the reference, also used as scipy's peer.
+        missing: why a library is missing, by its name.
     """
 
     surface: vf.Surface
@@ -78,17 +78,16 @@ class Bodies:
         return (self.points - self.middle) * 1e3
 
     def module(self, name: str, package: str) -> Any | None:
-        """An optional library, or None with the reason noted."""
+        """An optional library, or None with the reason in `missing`."""
         try:
             return importlib.import_module(name)
-        # A library that is installed but broken (a missing shared object) is as good as absent.
-        except Exception as error:
+        except Exception as error:  # also of a broken installation
             self.missing[package] = " ".join(f"{type(error).__name__}: {error}".split())[:100]
             return None
 
 
 class Holders:
-    """Builds each library's structure when first asked for, and says how long that took."""
+    """The data structure of each library."""
 
     def __init__(self, bodies: Bodies, say: Callable[[str], None]) -> None:
         self._bodies = bodies
@@ -192,7 +191,7 @@ def nearest(bodies: Bodies, held: Holders) -> list[Peer]:
             Peer(
                 "Open3D: compute_closest_points",
                 lambda k: held.open3d_scene.compute_closest_points(tensors[k]),
-                # Point and triangle; the distance is not part of the answer.
+                # The answer has point and triangle, but no distance.
                 lambda r: (float("nan"), int(r["primitive_ids"].numpy()[0])),
                 "single precision; made for batches",
             )
@@ -312,7 +311,7 @@ def ball(bodies: Bodies, held: Holders, radius: float) -> list[Peer]:
 
 
 def _everything(contacts: vf.Contacts) -> NDArray[np.int64]:
-    """The triangles, once closest points, features and distances are there too."""
+    """The triangles, after closest points, features and distances have been computed."""
     assert len(contacts.points) == len(contacts.features) == len(contacts.distances)
     return contacts.triangles
 
@@ -328,7 +327,7 @@ def _coal_triangles(found: Any) -> list[int]:
 def _objects(
     name: str, ask: Callable[[int], Any], triangles: Callable[[Any], list[int]], note: str
 ) -> list[Peer]:
-    """Two peers of a library that returns a list of objects: as it comes, and read in Python."""
+    """Two peers for a library that returns a list of objects: without and with reading it."""
     return [
         Peer(name, ask, lambda found: np.sort(triangles(found)), f"{note}; a list yet to be read"),
         Peer(f"{name}, triangles read", lambda k: triangles(ask(k)), np.sort, f"{note}; triangles"),
@@ -336,9 +335,9 @@ def _objects(
 
 
 def check_near(bodies: Bodies, answers: Sequence[Near], chosen: Sequence[int]) -> tuple[bool, str]:
-    """Compare nearest triangles with the reference: (agrees, in words).
+    """Compare nearest triangles with the reference: (agrees, description).
 
-    A triangle at equal distance is as good, so the named triangle's own distance is what counts.
+    Compared is the distance of the returned triangle, since several may be equally near.
     """
     queries, worst = bodies.queries, 0.0
     for (distance, triangle), k in zip(answers, chosen, strict=True):
@@ -353,9 +352,9 @@ def check_near(bodies: Bodies, answers: Sequence[Near], chosen: Sequence[int]) -
 def check_ball(
     bodies: Bodies, answers: Sequence[NDArray[Any]], chosen: Sequence[int], radius: float
 ) -> tuple[bool, str]:
-    """Compare sets of triangles with the reference: (agrees, in words).
+    """Compare sets of triangles with the reference: (agrees, description).
 
-    A triangle within the tolerance of the sphere may be in or out.
+    Triangles within the tolerance of the sphere may be included or not.
     """
     r, queries = radius * 1e3, bodies.queries
     missing = extra = total = 0

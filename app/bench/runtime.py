@@ -1,8 +1,8 @@
 """`bench runtime`: whole controller ticks over mesh sizes, radii and rules (paper, section IV-B).
 
-Every row drives the same proxy over the same spots in closed loop, so the tool meets what it meets
-in use: free space, the first touch, a slide over skin, a slide between walls. Timed is
-`Controller.step`: from joint positions and proxy to the verified joint step.
+Every row runs the same proxy over the same spots in closed loop, with the contact states of normal
+use: free space, first contact, sliding on a surface, sliding in a concavity. `Controller.step` is
+timed: from joint positions and proxy to the verified joint step.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ FloatArray = NDArray[np.float64]
 Say = Callable[[str], None]
 
 PUBLISHED = ((51_978, 7.73), (200_000, 1.0), (989_376, 0.18))
-"""Triangles and kHz of the paper's C++ (i7-8700; the middle one is read off its text)."""
+"""Triangles and kHz of the paper's C++ implementation (i7-8700; the second is from its text)."""
 
 STATES = ("free", "near", "touching", "concavity")
-"""No plane; planes that do not push; planes that push; the same at a spot that is a pit."""
+"""No plane; planes, none active; active planes; active planes at a spot that is a pit."""
 
-_PUSHING = 1e-9  # a multiplier above this pushes [m]
-_SAMPLES = 300  # positions at which the stages of the paper's rule are timed one by one
+_ACTIVE = 1e-9  # a plane with a larger multiplier is active [m]
+_SAMPLES = 300  # positions at which stages of the paper's rule are timed separately
 
 
 @dataclass
 class Cell:
-    """Samples of one rung, rule and radius; times in seconds, one entry per tick."""
+    """Samples of one mesh size, rule and radius; times in seconds, one entry per tick."""
 
     rule: str
     radius: float | None
@@ -47,7 +47,7 @@ class Cell:
     vertices: int
     controller: vf.Controller
     surface: vf.Surface
-    spots: int = 0  # of the route that a pass visits; 0: not decided yet
+    spots: int = 0  # number of spots of the route in a pass; 0: not set yet
     total: list[float] = field(default_factory=list)
     parts: list[tuple[float, ...]] = field(default_factory=list)
     planes: list[int] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Cell:
     tips: list[FloatArray] = field(default_factory=list)
 
     def even(self) -> None:
-        """Drop what there is of a tick that an interrupt came into."""
+        """Remove the incomplete samples of an interrupted tick."""
         columns: tuple[list[Any], ...] = (
             self.total, self.parts, self.planes, self.states, self.radii, self.tips,
         )  # fmt: skip
@@ -70,14 +70,14 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     """Measure all rows.
 
     Args:
-        say: called with a few words before each stage.
+        say: called with a short text before each stage.
         advance: called with the finished share of the measurement, 0 … 1.
 
     Returns:
-        What `runtime.json` holds.
+        The content of `runtime.json`.
 
     Raises:
-        ValueError: unknown rule, or a shape no ladder can be made of.
+        ValueError: unknown rule, or a shape that is not usable for a ladder.
     """
     for rule in options.rules:
         if rule not in vf.RULES:
@@ -86,7 +86,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     shape = ladder.source(options.mesh, options.unit)
     rungs = ladder.rungs(shape, options.sizes, say)
     arm = robots.load("psm")
-    # All rungs stand where the master does, so that one route fits them.
+    # All meshes are placed like the largest one, so that one route fits them.
     shift = meshes.placement(rungs[max(rungs)][0], arm.tip(arm.neutral))
     say("compiling kernels")
     vf.Controller(arm, []).warm_up()
@@ -121,7 +121,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         for number in range(options.passes):
             say(f"pass {number + 1} of {options.passes}")
             for spot in range(len(route.starts)):
-                # All rows at one spot, every other time backwards: a change of load meets all.
+                # All rows at one spot, in alternating order: a change of load affects all alike.
                 for cell in cells[:: 1 if spot % 2 == 0 else -1]:
                     if spot < cell.spots:
                         drive(cell, route, spot)
@@ -129,7 +129,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
                 advance(done / (len(route.starts) * options.passes))
     except KeyboardInterrupt:
         if done == 0:
-            raise  # not every row has something to say yet
+            raise  # some rows have no samples yet
         whole = False
         for cell in cells:
             cell.even()
@@ -139,6 +139,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         "what": "vf-sandbox bench runtime",
         "source": shape.name,
         "machine": about,
+        "options": asdict(options),
         "published": {
             "about": "the paper's C++ on an i7-8700, Stanford bunny: other hardware",
             "points": [{"triangles": n, "rate [kHz]": rate} for n, rate in PUBLISHED],
@@ -179,7 +180,7 @@ def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, 
 
 
 def _affordable(cell: Cell, route: routes.Route, options: Runtime) -> int:
-    """Spots that fit in the budget, after a drive at the first two that also warms up."""
+    """Number of spots that fit in the budget, estimated at the first two, which also warms up."""
     pilot = replace(cell, total=[], parts=[], planes=[], states=[], radii=[], tips=[])
     pilot.statuses = Counter()
     for spot in range(min(2, len(route.starts))):
@@ -203,8 +204,8 @@ def drive(cell: Cell, route: routes.Route, spot: int) -> None:
             q = result.q
             cell.parts.append(tuple(result.timings))
             cell.planes.append(len(result.planes))
-            pushed = bool((result.multipliers > _PUSHING).any())
-            cell.states.append((touching if pushed else 1) if len(result.planes) else 0)
+            active = bool((result.multipliers > _ACTIVE).any())
+            cell.states.append((touching if active else 1) if len(result.planes) else 0)
             cell.statuses[str(result.status.name).lower()] += 1
             cell.radii.append(result.radius)
             cell.tips.append(result.tip.translation.copy())
@@ -250,9 +251,9 @@ def summary(cell: Cell) -> dict[str, Any]:
 
 
 def _stages(cell: Cell, tips: list[FloatArray], radius: float) -> dict[str, float]:
-    """Sphere query and inside test on their own, at positions of the route (medians).
+    """Medians of the times of sphere query and inside test alone, at positions of the route.
 
-    The certified rule has no separate query: tree walk and choice of planes are one.
+    The certified rule has no separate sphere query: one tree traversal finds and selects planes.
     """
     surface = cell.surface
     query, sides, found = [], [], []
@@ -274,10 +275,10 @@ def _stages(cell: Cell, tips: list[FloatArray], radius: float) -> dict[str, floa
 
 
 def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """How a rate changes from the smallest to the largest mesh, and from the paper's rule to ours.
+    """Ratios of rates: largest to smallest mesh, and certified to paper's rule.
 
-    `without inside test` takes that test's time off the paper's tick: it is ours, not the paper's,
-    and only a rule that may let the tool through asks for it every tick.
+    `without inside test` subtracts that test's time from the tick of the paper's rule: the paper
+    does not have it, and only a rule without the guarantee needs it in every tick.
     """
     result: list[dict[str, Any]] = []
     table = {(row["rule"], row["radius [m]"], row["triangles"]): row for row in rows}
@@ -304,8 +305,3 @@ def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 }
             )
     return result
-
-
-def options_of(options: Runtime) -> dict[str, Any]:
-    """The options as plain values, to be written beside the result."""
-    return {**asdict(options), "out": str(options.out)}

@@ -1,4 +1,4 @@
-"""`bench soak`: does anything grow while the autopilot runs and a client comes and goes?"""
+"""`bench soak`: growth of memory and queues while the autopilot runs and a client reconnects."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from app.settings import Options
 from app.view import guard
 from app.view.page import Page
 
-GROWTH = 0.05  # of the memory, from the first visits to the last: less is flat
-WARM_UP = 0.2  # share of the run that is not compared: caches fill
+GROWTH = 0.05  # relative growth of memory that is tolerated
+WARM_UP = 0.2  # share of the run that is not compared, in which caches fill
 SAMPLES = 240  # at most, over the run
-BACKLOG = 2000  # messages that a client may be behind: one second of the page at its busiest
+BACKLOG = 2000  # tolerated messages in a client's queue: one second at the highest load
 
 
 def run(
     options: Soak, say: Callable[[str], None], advance: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Let it run; returns what `soak.json` holds.
+    """Run the test; returns the content of `soak.json`.
 
     Raises:
-        NoBrowser: there is none to come and go.
+        NoBrowser: no browser is available.
         ValueError: an unusable mesh.
     """
     about = machine()
@@ -59,7 +59,7 @@ def run(
         try:
             while (gone := time.perf_counter() - began) < seconds:
                 if gone > visits * options.reconnect:
-                    browser.tell("again")
+                    browser.request("again")
                     visits += 1
                 time.sleep(sample)
                 samples.append(_sample(time.perf_counter() - began, page))
@@ -72,7 +72,7 @@ def run(
     return {
         "what": "vf-sandbox bench soak",
         "machine": about,
-        "options": {**asdict(options), "out": str(options.out)},
+        "options": asdict(options),
         "visits": visits,
         "loop": ticks,
         "samples": samples,
@@ -87,32 +87,32 @@ def _sample(at: float, page: Page) -> dict[str, Any]:
         "at [s]": at,
         "memory [MB]": resident() or float("nan"),
         "threads": threading.active_count(),
-        **guard.census(page.server),
+        **guard.resource_counts(page.server),
     }
 
 
 def _ends(values: list[float]) -> tuple[float, float]:
-    """Medians of the first and of the last third of what follows the warm-up."""
+    """Medians of the first and of the last third of the values after the warm-up."""
     after = np.array(values[round(WARM_UP * len(values)) :], dtype=float)
     third = max(len(after) // 3, 1)
     return float(np.median(after[:third])), float(np.median(after[-third:]))
 
 
 def growth(values: list[float]) -> float:
-    """By which share something grew, from after the warm-up to the end."""
+    """Relative growth of a quantity, from after the warm-up to the end."""
     before, after = _ends(values)
     return after / before - 1.0
 
 
 def complaints(samples: list[dict[str, Any]]) -> list[str]:
-    """What grew that should not; empty when all is well."""
+    """Failed conditions; empty if there are none."""
     found = []
     grown = growth([s["memory [MB]"] for s in samples])
     if not grown < GROWTH:
         found.append(f"memory grew by {grown:.1%}")
     for what in ("nodes", "controls", "messages", "threads"):
         before, after = _ends([s[what] for s in samples])
-        # Telemetry comes and goes with what is in the ball; only a trend is a leak.
+        # Counts vary with the number of planes; only a trend is a leak.
         if after > before + max(3.0, GROWTH * before):
             found.append(f"{what} grew from {before:.0f} to {after:.0f}")
     behind = max(s["backlog"] for s in samples)
@@ -124,8 +124,8 @@ def complaints(samples: list[dict[str, Any]]) -> list[str]:
     return found
 
 
-def tell(result: dict[str, Any], console: Console) -> None:
-    """The result as lines on a terminal."""
+def show(result: dict[str, Any], console: Console) -> None:
+    """Print the result."""
     samples, loop = result["samples"], result["loop"]
     console.print(
         f"{samples[-1]['at [s]'] / 60:.1f} min, {result['visits']} visits, "

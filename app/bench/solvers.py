@@ -1,4 +1,4 @@
-"""The QP of a tick to every solver that is installed."""
+"""The QP of a tick for `bench peers`, for every solver that is installed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ import vf
 from app.bench.queries import Peer
 from app.bench.tools.reference import least_squares
 from vf.problem import rotation_log
-from vf.qp import osqp_was_interrupted
+from vf.solver_osqp import osqp_was_interrupted
 
 FloatArray = NDArray[np.float64]
 
-MM = 1e3  # peers get the problem in millimetres and milliradians: tolerances are absolute
+MM = 1e3  # peers get the problem in mm and mrad, as their tolerances are absolute
 TOLERANCE = 5e-6
-"""Distance up to which steps agree [m]: a quarter of the default standoff."""
+"""Tolerance of steps [m]: a quarter of the default standoff."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """min ½‖J Δq − d‖² + ½ λ‖Δq‖², G Δq ≥ b, lower ≤ Δq ≤ upper, and the same as a plain QP.
+    """min ½‖J Δq − d‖² + ½ λ‖Δq‖², G Δq ≥ b, lower ≤ Δq ≤ upper, also in standard form.
 
     Attributes:
         J, d: (6, n), (6,) rotation weighted by a length [m].
@@ -49,7 +49,7 @@ class Problem:
 def problem(
     arm: robots.Arm, q: FloatArray, target: Any, step: vf.Step, settings: vf.Settings
 ) -> Problem:
-    """The problem of a tick from joint positions q (n,) towards `target`, as a QP of its own."""
+    """The problem of a tick from joint positions q (n,) towards `target`."""
     T, J = arm.kinematics(q)
     x = T.translation
     d = np.empty(6)
@@ -68,7 +68,7 @@ def problem(
     normals = step.planes.normals
     b = np.minimum(step.planes.offsets - normals @ x, 0.0)
     H = task.T @ task + settings.damping * np.eye(len(q))
-    # As the controller does: the wish is slowed down to what the joints can follow.
+    # As in the controller: scale the task to the joints' speed limits.
     d /= max(1.0, float(np.max(np.abs(np.linalg.solve(H, task.T @ d)) / reach)))
     return Problem(
         task, d, settings.damping, np.ascontiguousarray(normals @ J[:3]), b, lower, upper,
@@ -155,7 +155,7 @@ def _proxqp(proxsuite: Any, problems: Sequence[Problem]) -> Peer:
         p = problems[k]
         m = len(p.b)
         solver = proxsuite.proxqp.dense.QP(n, 0, m + n)
-        # Its defaults, a relative tolerance among them, ended up to 0.1 mm beside the optimum.
+        # The default tolerances give errors up to 0.1 mm.
         solver.settings.eps_abs = 1e-9
         solver.settings.eps_rel = 0.0
         solver.init(
@@ -201,7 +201,7 @@ def _qpsolvers(qpsolvers: Any, name: str, problems: Sequence[Problem]) -> Peer:
 def check(
     problems: Sequence[Problem], answers: Sequence[FloatArray], chosen: Sequence[int]
 ) -> tuple[bool, str]:
-    """Compare steps with the reference: (agrees, in words)."""
+    """Compare steps with the reference: (agrees, description)."""
     off = broken = 0.0
     for dq, k in zip(answers, chosen, strict=True):
         p = problems[k]
@@ -209,7 +209,7 @@ def check(
         if not np.isfinite(dq).all():
             return False, f"no answer to problem {k}"
         off = max(off, float(np.linalg.norm(p.J @ (dq - best))))
-        # A joint's bound is broken by as much as the tip moves through it.
+        # Violations of joint limits are measured by the motion of the tip.
         speed = np.linalg.norm(p.J, axis=0)
         out = np.maximum(np.maximum(p.lower - dq, dq - p.upper), 0.0) * speed
         broken = max(broken, float(out.max()), float(np.max(p.b - p.G @ dq, initial=0.0)))

@@ -30,16 +30,16 @@ GREW = 1
 
 
 def measure(options: Any) -> int:
-    """Do one of the measurements; returns the exit code."""
+    """Run one of the benchmarks; returns the exit code."""
     name = type(options).__name__.lower()
-    options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
+    options.out.mkdir(parents=True, exist_ok=True)  # before the work, to fail early
     try:
         if isinstance(options, Runtime):
             result = _runtime(options)
         elif isinstance(options, Peers):
             result = _peers(options)
         else:
-            result = _told(options, name, import_module(_MODULES[type(options)]))
+            result = _measured(options, name, import_module(_MODULES[type(options)]))
     except NoBrowser as error:
         raise OptionError(str(error)) from None
     if result.get("interrupted"):
@@ -58,7 +58,6 @@ def _runtime(options: Runtime) -> dict[str, Any]:
 
     console = new_console()
     result = _shown(console, lambda say, advance: runtime.run(options, say, advance))
-    result["options"] = runtime.options_of(options)
     report.runtime(result, console)
     _write(options.out, "runtime", result, console)
     if not result.get("interrupted"):
@@ -86,11 +85,11 @@ def _peers(options: Peers) -> dict[str, Any]:
     return result
 
 
-def _told(options: Loop | View | Meshes | Soak, name: str, module: Any) -> dict[str, Any]:
-    """Measure, tell and write what a module with `run` and `tell` has to say."""
+def _measured(options: Loop | View | Meshes | Soak, name: str, module: Any) -> dict[str, Any]:
+    """Run a benchmark module, and print and write its result."""
     console = new_console()
     result = _shown(console, lambda say, advance: module.run(options, say, advance))
-    module.tell(result, console)
+    module.show(result, console)
     _write(options.out, name, result, console)
     return result
 

@@ -1,7 +1,7 @@
-"""A scripted hand: approaches the anatomy, pokes it, slides over it, lifts off and circles.
+"""Scripted motion of the proxy: approach the anatomy, press, slide, lift off, circle.
 
-The path is built once from the surface and is a function of time from then on, so that a demo, a
-test and a replay see the same proxy to the bit.
+The path is planned once from the surface; the pose is then a function of time alone, so that a
+demo, a test and a replay get bitwise equal proxies.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ import vf
 FloatArray = NDArray[np.float64]
 
 SPEED = 0.08  # highest speed of the proxy [m/s]; a surgeon's hand stays below 0.1
-HOVER = 0.006  # height above the surface between actions [m]
-DEPTH = 0.003  # how far below the surface the proxy pokes and slides [m]
-STRIDE = 5e-4  # between the points of a slide [m]
-STEP = 3e-3  # a slide whose height changes by more between two of them is not made [m]
-DWELL = 0.4  # rest at the bottom of a poke [s]
+HOVER = 0.006  # height above the surface between contacts [m]
+DEPTH = 0.003  # depth of the proxy below the surface while pressing and sliding [m]
+STRIDE = 5e-4  # distance of the points of a slide [m]
+STEP = 3e-3  # a slide with a larger height difference between two points is omitted [m]
+DWELL = 0.4  # rest at the deepest point of a press [s]
 SPOTS = 4
-REACH = 0.015  # from the start to the farthest of them, sideways: the first view shows it [m]
+REACH = 0.015  # largest horizontal distance of a spot from the start, within the first view [m]
 _PEAK = 1.875  # peak over mean speed of a minimum-jerk motion
 
 
 class Script(Protocol):
-    """A proxy that moves by itself: a function of time alone."""
+    """A scripted proxy: its pose is a function of time alone."""
 
     def pose(self, time: float) -> pin.SE3:
         """The proxy a time ≥ 0 [s] after the start, arm base frame."""
@@ -62,7 +62,7 @@ class Autopilot:
         time = time % self.duration
         k = min(int(np.searchsorted(self.starts, time, side="right")) - 1, len(self.legs) - 1)
         u = (time - self.starts[k]) / (self.starts[k + 1] - self.starts[k])
-        # Minimum jerk along the arc: no kink in speed where legs meet.
+        # Minimum jerk along the arc: zero speed and acceleration where legs meet.
         s = self.arcs[k][-1] * u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
         leg, arc = self.legs[k], self.arcs[k]
         position = np.array([np.interp(s, arc, leg[:, i]) for i in range(3)])
@@ -71,7 +71,7 @@ class Autopilot:
 
 @dataclass(frozen=True)
 class Course:
-    """A script from waypoint to waypoint, minimum jerk between them, at rest in each; it ends.
+    """A script through waypoints: minimum jerk between them, at rest in each and after the last.
 
     Attributes:
         rotation: (3, 3) of every pose, arm base frame.
@@ -85,7 +85,7 @@ class Course:
 
     @property
     def duration(self) -> float:
-        """From the first to the last waypoint [s]; the proxy stays there."""
+        """Time of the last waypoint [s]; the proxy stays there."""
         return float(self.times[-1])
 
     def pose(self, time: float) -> pin.SE3:
@@ -113,14 +113,14 @@ def plan(surface: vf.Surface, T_base_tip: pin.SE3) -> Autopilot:
     here = start
     for index, spot in enumerate(spots):
         above, below = spot + HOVER * up, spot - DEPTH * up
-        # Travel at the height of the start: the way between two spots may lead over a peak.
+        # Travel at the height of the start, above any peak between two spots.
         legs.append(np.array([here, [*here[:2], ceiling], [*above[:2], ceiling], above]))
         legs.append(np.array([above, below]))
         legs.append(np.array([below, below]))
         here = below
         if index + 1 < len(spots):
             slide = _slide(surface, spot, spots[index + 1], ceiling)
-            # Over an opening the tip would slip through: lift off instead.
+            # No slide over an opening, through which the tip would pass: lift off instead.
             if slide is not None:
                 legs.append(slide - DEPTH * up)
                 here = legs[-1][-1]
@@ -140,13 +140,13 @@ def plan(surface: vf.Surface, T_base_tip: pin.SE3) -> Autopilot:
 
 
 def _spots(surface: vf.Surface, start: FloatArray) -> FloatArray:
-    """Up to SPOTS points (k, 3) on the upper side, spread around below the start."""
+    """Up to SPOTS points (k, 3) on the upper side, distributed below the start."""
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     reach = min(0.4 * float((high - low)[:2].min()), REACH)
     ceiling = max(float(high[2]), float(start[2])) + 1e-3
     found = []
     for k in range(24):
-        # A sunflower spiral covers the disc evenly, from its centre outwards.
+        # A Fermat spiral covers the disc evenly, from its centre outwards.
         distance, angle = reach * np.sqrt(k / 23), k * np.pi * (3.0 - np.sqrt(5.0))
         xy = start[:2] + distance * np.array([np.cos(angle), np.sin(angle)])
         point = _below(surface, xy, ceiling, float(low[2]) - 1e-3)
@@ -161,7 +161,7 @@ def _spots(surface: vf.Surface, start: FloatArray) -> FloatArray:
 def _below(surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float) -> FloatArray | None:
     """The highest point (3,) of the surface on the vertical through xy, if there is one.
 
-    Found by falling as far as the nearest triangle allows, again and again.
+    Sphere tracing: descend by the distance to the nearest triangle until it is zero.
     """
     point = np.array([*xy, ceiling])
     for _ in range(300):
@@ -171,7 +171,7 @@ def _below(surface: vf.Surface, xy: FloatArray, ceiling: float, floor: float) ->
         point[2] -= distance
         if point[2] < floor:
             return None
-    return None  # along a wall: there are better spots
+    return None  # no convergence along a steep wall
 
 
 def _slide(surface: vf.Surface, a: FloatArray, b: FloatArray, ceiling: float) -> FloatArray | None:

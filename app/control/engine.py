@@ -1,4 +1,4 @@
-"""One tick after the other, without thread or clock: what the loop runs and a replay repeats."""
+"""Computes one tick after the other, without thread or clock; used by the loop and by a replay."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Plant:
-    """Everything a tick needs and no other thread touches; swapped as a whole between ticks.
+    """All data of a tick, used by the engine's thread only and replaced as a whole between ticks.
 
     Attributes:
         arm: the arm's model; its Pinocchio buffers belong to the engine's thread from here on.
@@ -35,7 +35,7 @@ class Plant:
         stale_after: a held drag without a newer command for this long holds the tool [s].
         autopilot: the scripted proxy of this scene.
         options: the settings it was made with.
-        scene_options: the settings its scene was built with, which may be older.
+        scene_options: the settings its scene was built with, which may differ from `options`.
     """
 
     arm: Arm
@@ -53,11 +53,11 @@ class Plant:
 
 @dataclass(frozen=True)
 class Orders:
-    """All that the session wants of the engine, as one value, so no half of it is ever seen.
+    """All that the session orders of the engine, as one value, so that reading it is atomic.
 
-    Single steps and resets are running totals: the engine compares them with what it has done,
-    and the latest value is all it needs to read. How the hand's motion becomes the command's
-    target (scale, lock_orientation) is not the engine's business: a record tells it.
+    `steps` and `resets` are running totals: the engine compares them with what it has done, so it
+    may miss intermediate values. The engine does not use `scale` and `lock_orientation`, which map
+    the handle to the target; they are here to be recorded.
     """
 
     plant: Plant
@@ -72,17 +72,17 @@ class Orders:
 
 @dataclass(frozen=True)
 class State:
-    """What the engine carries from one tick to the next, besides the orders it saw last.
+    """The engine's state between two ticks, besides the orders it saw last.
 
     Attributes:
         q: (n,) joints.
         tick: number of the last tick.
         steps: how many of the single steps ordered are done.
         silent: ticks since the newest command arrived.
-        autopilot_since: tick at which the autopilot took over; None: it does not drive.
+        autopilot_since: tick at which the autopilot was switched on; None: it is off.
         target: the proxy of the last tick.
-        stale: whether the last tick held for want of a newer command.
-        step: what the controller did last.
+        stale: whether the last tick held because the command was too old.
+        step: the controller's last result.
     """
 
     q: NDArray[np.float64]
@@ -103,17 +103,17 @@ def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) 
 
 
 class Engine:
-    """The state between ticks: joints, tick count, and what was seen of the orders."""
+    """Executes orders tick by tick; holds joints, tick count and the orders seen last."""
 
     def __init__(
         self, orders: Orders, state: State | None = None, arm: protocols.Arm | None = None
     ) -> None:
-        """Start at the plant's start, or go on from a state whose last orders these were.
+        """Start at the plant's start, or continue from a state whose last orders these were.
 
         Args:
-            arm: what is measured before each tick and moved by it; None: a simulated one.
+            arm: measured before each tick and moved by it; None: a simulated one.
         """
-        self.seen = orders  # the newest that were looked at
+        self.seen = orders
         self._plant = orders.plant
         self._q = _frozen(orders.plant.q0 if state is None else state.q)
         self._arm = SimulatedArm(self._q) if arm is None else arm
@@ -121,15 +121,15 @@ class Engine:
         self._resets = orders.resets
         self._tick = 0
         self._sequence = orders.command.sequence
-        self._silent = 0  # ticks since the newest command arrived
+        self._silent = 0
         self._autopilot_since: int | None = None
         self._step: vf.Step | None = None
         self._target: pin.SE3 | None = None
         self._stale = False
         self._failed = False
-        self._known = True  # where the arm is
-        self._origin: pin.SE3 | None = None  # where the last tick began
-        self.failures = 0  # ticks whose controller raised: held, and counted as HELD
+        self._known = True  # whether the arm's joints are known
+        self._origin: pin.SE3 | None = None  # the tip's pose when the last tick began
+        self.failures = 0  # ticks in which the controller raised: the tool holds, status HELD
         if state is not None:
             self._tick = state.tick
             self._steps = state.steps
@@ -142,7 +142,7 @@ class Engine:
 
     @property
     def state(self) -> State:
-        """Where it stands now; only for the thread that ticks it."""
+        """The present state; only for the thread that calls `advance`."""
         return State(
             q=self._q,
             tick=self._tick,
@@ -155,9 +155,9 @@ class Engine:
         )
 
     def advance(self, orders: Orders, stats: LoopStats) -> tuple[Telemetry, bool]:
-        """Do the next tick, or none while paused; returns what there is to see, and if it ticked.
+        """Do the next tick, or none while paused; returns the telemetry, and whether it ticked.
 
-        Never raises in use: a controller that does (it must not) leaves the tool where it was.
+        Does not raise: if the controller raises, the tool holds.
         """
         self.seen = orders
         moved = self._adopt(orders)
@@ -175,17 +175,17 @@ class Engine:
             self._sequence = command.sequence
             self._silent = 0
         elif ticks:
-            # Counted in ticks, not read from a clock, so that a replay goes stale as the run did.
+            # Counted in ticks, not read from a clock, so that a replay holds at the same tick.
             self._silent += 1
         if ticks:
             self._run(orders)
         elif moved:
             self._target = None
-            self._hold()  # paused: show the planes of the new plant, move nothing
+            self._hold()  # paused: compute the planes of the new plant, move nothing
         return self.look(orders, stats), ticks
 
     def look(self, orders: Orders, stats: LoopStats) -> Telemetry:
-        """What there is to see right now."""
+        """The present telemetry."""
         return Telemetry(
             tick=self._tick,
             time=self._tick * self._plant.dt,
@@ -202,7 +202,7 @@ class Engine:
         )
 
     def _adopt(self, orders: Orders) -> bool:
-        """Take over a new plant or a reset between two ticks; returns whether there was one."""
+        """Apply a new plant or a reset between two ticks; returns whether there was one."""
         new, old = orders.plant, self._plant
         if new is old and orders.resets == self._resets:
             return False
@@ -224,7 +224,7 @@ class Engine:
         return True
 
     def _measure(self) -> None:
-        """Learn where the arm is; where that is not known the last joints stay."""
+        """Read the arm's joints; keep the last ones if they are not known."""
         q = self._arm.measured()
         self._known = q is not None and q.shape == self._q.shape
         if self._known and q is not self._q:
@@ -261,7 +261,7 @@ class Engine:
         self._tip = step.tip
 
     def _hold(self) -> None:
-        """Look, but do not move: planes and distance at the tip, zero force, the same joints."""
+        """Compute planes and distance at the tip without moving: zero force, the same joints."""
         plant = self._plant
         try:
             tip = plant.arm.tip(self._q)

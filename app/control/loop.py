@@ -1,4 +1,4 @@
-"""The control thread: ticks at absolute deadlines, counts what it misses, never catches up."""
+"""The control thread: ticks at absolute deadlines; missed ticks are counted, not made up for."""
 
 from __future__ import annotations
 
@@ -25,21 +25,20 @@ from app.refused import Refused
 log = logging.getLogger(__name__)
 
 SUMMARIES = 4  # of the statistics, per second
-# A thread that wants the interpreter waits this long before it asks the owner to let go [s]. At its
-# wake-up the control thread waits a few of those, as the page's threads ask too: beside a browser
-# on the same two cores 99.97 % of ticks were less than 1 ms late at 20 µs, 99.93 % at 50 µs, 99.2 %
-# at 100 µs and 98.5 % at 200 µs.
+# Python's switch interval: a thread waits this long for the interpreter lock (GIL) before it
+# requests it [s]. On wake-up the control thread waits a few intervals, since the page's threads
+# compete with it. With a browser on the same two cores 99.97 % of ticks were less than 1 ms late at
+# 20 µs, 99.93 % at 50 µs, 99.2 % at 100 µs and 98.5 % at 200 µs.
 SWITCH_INTERVAL = 2e-5
-# But every such wait has a price, 20 to 60 µs of a core on a virtual machine. There the threads
-# that wait in real time (three, when the fourth has the interpreter) leave nothing to the one they
-# wait for, and everything stands still. So a wait takes at least this many times its price, divided
-# by the number of cores: on two, three who wait take one and a half.
-THRIFT = 4.0
-LONGEST_INTERVAL = 2e-4  # [s], and no longer than this
-# Wake-ups are some 50 µs late, so the last stretch before a deadline is spent asking the clock;
-# other threads still get the interpreter within the switch interval [s].
+# Each timed wait costs processor time, 20 to 60 µs on a virtual machine. If the waiting real-time
+# threads (up to three) use up all cores, the thread that holds the lock never runs. So the interval
+# is at least this factor times the cost of a wait, divided by the number of cores.
+WAIT_COST_FACTOR = 4.0
+LONGEST_INTERVAL = 2e-4  # upper bound of the switch interval [s]
+# Wake-ups are about 50 µs late, so the loop busy-waits for this long before a deadline [s]; other
+# threads still get the interpreter lock within the switch interval.
 SPIN = 1e-4
-# Real-time priorities, where they may be had.
+# Real-time priorities, where the system permits them.
 CONTROL_PRIORITY = 10
 VIEW_PRIORITY = 5
 
@@ -47,11 +46,11 @@ VIEW_PRIORITY = 5
 class ControlLoop:
     """Runs an `Engine` in its own thread: orders come from one mailbox, telemetry goes to another.
 
-    A tick that ends after the next deadline is an overrun; the next deadline is then counted
-    from that moment, so time lost is lost and never made up by faster ticks.
+    A tick that ends after the next deadline is an overrun; the next deadline is then counted from
+    its end, so that lost time is not made up for by faster ticks.
 
     Attributes:
-        tape: the recording under way or, if none is, the last one; None: there was none.
+        tape: the current recording or, if there is none, the last one; None: there was none.
     """
 
     def __init__(
@@ -61,7 +60,7 @@ class ControlLoop:
         dt: float,
         watch: Callable[[Orders, Telemetry, bool], None] | None = None,
     ) -> None:
-        """Nothing runs yet. `watch` hears of every tick like a tape, as long as the loop lives."""
+        """Does not start the thread. `watch` is called after every tick, like `Tape.take`."""
         first = orders.get()
         if first is None:
             raise ValueError("the loop needs orders to start from")
@@ -73,8 +72,8 @@ class ControlLoop:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control")
         self._clock = _Clock(dt)
-        self._recording = threading.Lock()  # who begins or ends a recording; no tick takes it
-        self._tape: Tape | None = None  # hears of every tick
+        self._recording = threading.Lock()  # for starting and ending a recording; not in ticks
+        self._tape: Tape | None = None  # gets every tick
         self.tape: Tape | None = None
         telemetry.put(self._engine.look(first, self._clock.stats))
 
@@ -125,7 +124,7 @@ class ControlLoop:
         return tape
 
     def wait_for_scene(self, version: int, timeout: float = 5.0) -> None:
-        """Wait until it runs in this scene, if it runs, to learn where the tool is in it."""
+        """Wait until a tick ran in this scene, if the thread runs."""
         deadline = time.monotonic() + timeout
         while self.alive and time.monotonic() < deadline:
             telemetry = self._telemetry.get()
@@ -134,12 +133,12 @@ class ControlLoop:
             time.sleep(1e-3)
 
     def _run(self) -> None:
-        _ask_for_punctuality()
-        with _quiet_interpreter():
+        _request_realtime()
+        with _realtime_interpreter():
             try:
                 self._loop()
             except Exception:
-                # Not the tick (its errors end in HELD) but this loop itself.
+                # An error of the loop itself: those of a tick end in HELD.
                 log.exception("the control thread stopped")
                 raise
 
@@ -175,11 +174,11 @@ class ControlLoop:
                 clock.skip(started)
             deadline = late if ended <= late else ended
             if ended > late:
-                time.sleep(0)  # let others have the interpreter even when every tick is late
+                time.sleep(0)  # release the interpreter lock even when every tick is late
 
 
 class _Clock:
-    """Timing of the last second in preallocated rings; a summary a few times a second."""
+    """Timing of the last second in ring buffers, summarised `SUMMARIES` times a second."""
 
     def __init__(self, dt: float) -> None:
         size = max(10, round(1.0 / dt))
@@ -199,7 +198,7 @@ class _Clock:
     ) -> None:
         """Note one tick; times in seconds of the monotonic clock."""
         if self._idle:
-            # What was measured before a pause says nothing about the rate after it.
+            # Samples from before a pause would falsify the rate.
             self._idle = False
             self._filled = self._next = 0
         k = self._next
@@ -239,28 +238,28 @@ class _Clock:
         )
 
 
-class _quiet_interpreter(contextlib.ContextDecorator):
-    """Keeps Python's own housekeeping out of the ticks while a control loop runs."""
+class _realtime_interpreter(contextlib.ContextDecorator):
+    """Shortens the switch interval and garbage collections while a control loop runs."""
 
     _lock = threading.Lock()
     _users = 0
     _interval = 5e-3
 
     def __enter__(self) -> None:
-        cls = _quiet_interpreter
+        cls = _realtime_interpreter
         with cls._lock:
             cls._users += 1
             if cls._users == 1:
                 cls._interval = sys.getswitchinterval()
-                sys.setswitchinterval(_switch_interval(_price_of_waiting()))
-                # A full collection walks every object of numba, viser and Pinocchio with the
-                # interpreter held, for tens of milliseconds, whichever thread sets it off. Frozen
-                # objects are not walked; new garbage is still collected, so nothing piles up.
+                sys.setswitchinterval(_switch_interval(_wait_cost()))
+                # A full collection visits every object of numba, viser and Pinocchio with the
+                # interpreter locked, for tens of milliseconds. Frozen objects are not visited; new
+                # garbage is still collected.
                 gc.collect()
                 gc.freeze()
 
     def __exit__(self, *error: object) -> None:
-        cls = _quiet_interpreter
+        cls = _realtime_interpreter
         with cls._lock:
             cls._users -= 1
             if cls._users == 0:
@@ -268,8 +267,8 @@ class _quiet_interpreter(contextlib.ContextDecorator):
                 sys.setswitchinterval(cls._interval)
 
 
-def _price_of_waiting() -> float:
-    """Processor time of a wait that is given up after `SWITCH_INTERVAL` [s]."""
+def _wait_cost() -> float:
+    """Processor time of a wait for a lock that times out after `SWITCH_INTERVAL` [s]."""
     lock = threading.Lock()
     lock.acquire()
     spent = []
@@ -278,34 +277,33 @@ def _price_of_waiting() -> float:
         for _ in range(10):
             lock.acquire(timeout=SWITCH_INTERVAL)
         spent.append((time.thread_time() - began) / 10)
-    return min(spent)  # what disturbed the others is not its price
+    return min(spent)  # larger values contain interruptions
 
 
-def _switch_interval(price: float, cores: int | None = None) -> float:
-    """How long a thread waits for the interpreter before it asks for it, by the price of that."""
-    share = THRIFT / (cores or os.cpu_count() or 1)
-    return min(max(SWITCH_INTERVAL, share * price), LONGEST_INTERVAL)
+def _switch_interval(cost: float, cores: int | None = None) -> float:
+    """The switch interval [s] for this cost of a wait [s], see `WAIT_COST_FACTOR`."""
+    factor = WAIT_COST_FACTOR / (cores or os.cpu_count() or 1)
+    return min(max(SWITCH_INTERVAL, factor * cost), LONGEST_INTERVAL)
 
 
 def prefer_this_process() -> None:
-    """Put this process before others that want the same cores, where the system permits it.
+    """Raise this process's scheduling priority, where the system permits it.
 
     Call it before other threads are started: they inherit it. The control thread's own priority is
-    not enough. It waits for whoever holds the interpreter, and a thread of ours that was put aside
-    for a browser's drawing holds it for as long as that takes.
+    not enough: it waits for the thread that holds the interpreter lock, which may be preempted by
+    another process such as a browser.
     """
     if sys.platform.startswith("linux"):
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, -10)
 
 
-def _ask_for_punctuality() -> None:
-    """Ask Linux for this thread's precise and preferred wake-ups; do without where it refuses.
+def _request_realtime() -> None:
+    """On Linux, set a timer slack of 1 µs (default: 50 µs) and real-time scheduling, if permitted.
 
-    The timer's slack is 50 µs by default. Real-time scheduling (or else a better priority, both per
-    thread on Linux) needs a privilege that desktop users seldom have; it keeps the load of other
-    programs, a browser drawing in software above all, out of the ticks. The loop sleeps nine tenths
-    of its time, and the kernel bounds what a real-time thread may take.
+    Real-time scheduling keeps other programs from delaying ticks; it needs a privilege that desktop
+    users seldom have. The loop sleeps nine tenths of its time, and the kernel limits the processor
+    time of real-time threads.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -316,9 +314,9 @@ def _ask_for_punctuality() -> None:
 
 
 def prefer_this_thread(priority: int) -> None:
-    """Schedule the calling thread in real time where the system permits it, else put it first.
+    """Schedule the calling thread in real time if the system permits it, else raise its priority.
 
-    Threads and processes that it starts do not inherit that.
+    Threads and processes that it starts do not inherit real-time scheduling.
     """
     if not sys.platform.startswith("linux"):
         return

@@ -1,4 +1,4 @@
-"""One value handed from one thread to another; the newest one wins."""
+"""A single-value mailbox between threads."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """Holds the newest value put into it. Neither side ever waits for the other.
+    """Holds the newest value put into it. Neither side waits for the other.
 
-    Replacing an attribute is a single step for every reader of a Python object, so no lock is
-    needed; the values themselves must be frozen, since both sides keep references to them.
+    Assigning an attribute is atomic in Python, so no lock is needed; the values must be immutable,
+    since both sides keep references to them.
     """
 
     __slots__ = ("_value",)
@@ -20,7 +20,7 @@ class Mailbox(Generic[T]):
         self._value = value
 
     def put(self, value: T) -> None:
-        """Replace the value; what was not read in between is gone."""
+        """Replace the value, whether or not it was read."""
         self._value = value
 
     def get(self) -> T | None:

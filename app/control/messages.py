@@ -1,4 +1,4 @@
-"""What crosses between threads: frozen, complete values, never references to live state."""
+"""Messages between threads: immutable values without references to mutable state."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import vf
 
 @dataclass(frozen=True)
 class Command:
-    """Everything the operator says to the control loop, latest value wins.
+    """The operator's input to the control loop; the newest value counts.
 
     Attributes:
         target: goal of the tool tip (the proxy), arm base frame; None holds the tool.
@@ -32,7 +32,7 @@ class Command:
 
 @dataclass(frozen=True)
 class LoopStats:
-    """How the control thread keeps its time; a summary over about the last second."""
+    """Timing of the control thread over about the last second."""
 
     rate: float = 0.0  # achieved [Hz]
     tick_median: float = 0.0  # time spent in one tick [s]
@@ -45,7 +45,7 @@ class LoopStats:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """One tick as seen from outside.
+    """The result of one tick.
 
     Attributes:
         tick: number of the tick since the session's start.

@@ -1,4 +1,4 @@
-"""Watches every tick for a tip that met the mesh, whatever rule or planes there were."""
+"""Tests every tick for a crossing of the mesh by the tip, independently of rule and planes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from app.judges.meeting import first_meeting
 
 log = logging.getLogger(__name__)
 
-PERIOD = 0.05  # between two looks at what the ticks did [s]
-BEHIND = 20_000  # ticks that may wait to be looked at
+PERIOD = 0.05  # between two batches of ticks [s]
+BEHIND = 20_000  # capacity of the queue [ticks]
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,12 @@ class Crossing:
     Attributes:
         tick: its number.
         scene: version of the scene it happened in.
-        rule: the one in force then.
+        rule: the rule in force.
         triangle: the triangle met, the caller's index.
         point: (3,) where, arm base frame [m].
-        before: (3,) the tip's centre at the start of that tick, where it had crossed nothing [m].
-        centre: whether the centre of the tip crossed the triangle; False: the tip has a radius,
-            and its ball came to overlap it.
+        before: (3,) the tip's centre at the start of that tick, before the crossing [m].
+        centre: whether the tip's centre crossed the triangle; False: only its ball (of the tip
+            radius) overlapped the triangle.
     """
 
     tick: int
@@ -46,15 +46,15 @@ class Crossing:
 
 
 class Watch:
-    """Tests the segment of every tick, from where the tip was to where it went, against the mesh.
+    """Tests the tip's segment of every tick against the mesh.
 
-    The control thread calls `take` after each tick: a look at a length and an append. A thread of
-    its own does the rest, without the interpreter for most of it.
+    The control thread calls `take` after each tick, which only appends to a queue. A separate
+    thread does the test, mostly in compiled code without the interpreter lock.
 
     Attributes:
-        crossing: the first one since the last reset or change of scene; None: none. A ball that
-            came to overlap the mesh gives way to the first crossing of its centre.
-        missed: ticks that nobody looked at because this thread fell behind by `BEHIND` of them.
+        crossing: the first one since the last reset or change of scene; None: none. A crossing of
+            the centre replaces an overlap of the ball.
+        missed: ticks that were not tested because the queue was full.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Watch:
         self.missed = 0
         self._queue: deque[tuple[Orders, Telemetry, bool]] = deque()
         self._newest: Orders | None = None
-        self._stay: tuple[int, int] | None = None  # resets and scene of the ticks being looked at
+        self._episode: tuple[int, int] | None = None  # resets and scene of the current batch
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
 
@@ -71,7 +71,7 @@ class Watch:
         self._thread.start()
 
     def close(self) -> None:
-        """Look at what is still waiting, and end. Safe to call twice, or before `start`."""
+        """Test what is left in the queue, and end. Safe to call twice, or before `start`."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -87,17 +87,17 @@ class Watch:
             self.missed += 1
 
     def look(self) -> None:
-        """Look at the ticks taken so far; for the watch's own thread, or where there is none."""
+        """Test the ticks taken so far; for the watch's own thread, or if it was not started."""
         queue = self._queue
         batch: list[tuple[Orders, Telemetry]] = []
         for _ in range(len(queue)):
             orders, telemetry, ticked = queue.popleft()
-            stay = orders.resets, orders.plant.scene
-            if stay != self._stay:
-                # The tool was put somewhere, or the mesh was: what was crossed before is history.
+            episode = orders.resets, orders.plant.scene
+            if episode != self._episode:
+                # A reset or a new scene clears the crossing.
                 self._judge(batch)
                 batch = []
-                self._stay, self.crossing = stay, None
+                self._episode, self.crossing = episode, None
             if batch and batch[-1][0].plant is not orders.plant:
                 self._judge(batch)
                 batch = []
@@ -128,13 +128,13 @@ class Watch:
             )
             if met.centre:
                 return
-            # The ball met it: does the centre follow?
+            # Only the ball met it: look for a crossing of the centre.
             starts, ends = starts[met.segment :], ends[met.segment :]
             batch = batch[met.segment :]
             met = first_meeting(plant.surface, starts, ends)
 
     def _run(self) -> None:
-        # As the page's threads, it may not be put aside with the interpreter in its hands.
+        # Like the page's threads, it must not be preempted while it holds the interpreter lock.
         prefer_this_thread(VIEW_PRIORITY)
         while not self._stop.wait(PERIOD):
             try:

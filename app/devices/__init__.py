@@ -1,1 +1,1 @@
-"""What moves and is moved: masters that an operator holds, and arms. See `protocols`."""
+"""Devices: masters, which the operator moves, and arms. See `protocols`."""

@@ -1,4 +1,4 @@
-"""The page's gizmo as a master: the handle, its clutch, and the map to the proxy."""
+"""The page's gizmo as a master: handle, clutch, and the map from handle to proxy."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from app.control.messages import Command
 from app.control.teleoperation import latch
 from app.refused import Refused
 
-FARTHEST_PROXY = 2.0  # farther from the arm's base than this is a mistake, not a wish [m]
+FARTHEST_PROXY = 2.0  # reject targets farther from the arm's base than this [m]
 
 
 class PageMaster:
-    """A `Master` that browsers move. All poses are in the arm's base frame.
+    """A `Master` that is moved in the browser. All poses are in the arm's base frame.
 
     Teleoperation maps the handle to the proxy, which is the goal of the tool; with scale 1 and no
-    clutch the two are the same. One thread at a time may call; any may read an attribute.
+    clutch the two are the same. Only one thread at a time may call; any may read an attribute.
 
     Attributes:
         handle: the handle's present pose: where the gizmo belongs when nobody drags it.
         clutched: whether the clutch is pressed: the handle moves alone, the tool holds.
         held: whether a drag is going on.
         target: the proxy; None holds the tool.
-        force: (3,) on the operator's hand, for the page to draw [N].
+        force: (3,) on the operator's hand, drawn by the page [N].
     """
 
     def __init__(self, handle: pin.SE3, scale: float, locked: bool) -> None:
-        """Handle and proxy in one place; scale and lock as in `Teleop`."""
+        """Handle and proxy at the same pose; scale and lock as in `Teleop`."""
         self.handle = pin.SE3(handle)
         self.clutched = False
         self.held = False
@@ -44,11 +44,11 @@ class PageMaster:
         self.force = force
 
     def command(self, sequence: int) -> Command:
-        """What it says just now, as the command of this number."""
+        """The present state as a command with this sequence number."""
         return Command(self.target, sequence, self.clutched, self.held, time.monotonic())
 
     def move(self, pose: pin.SE3, held: bool) -> None:
-        """The handle was moved; the proxy goes along unless the clutch is pressed.
+        """Move the handle; the proxy follows unless the clutch is pressed.
 
         Raises:
             Refused: not a pose, or it or the proxy is too far away. Nothing moves then.
@@ -61,29 +61,29 @@ class PageMaster:
             self.target = proxy
 
     def place(self, pose: pin.SE3) -> None:
-        """Put the handle and the proxy there."""
+        """Set the pose of handle and proxy."""
         self.handle = self.target = pin.SE3(pose)
         self.held = False
         self._latch(pose)
 
     def hold(self) -> None:
-        """No proxy any more: the tool holds; the clutch is released, the handle stays."""
+        """Clear the proxy, so that the tool holds; release the clutch; the handle stays."""
         self.target = None
         self.clutched = self.held = False
 
     def let_go(self) -> None:
-        """Nobody drags any more."""
+        """End the drag."""
         self.held = False
 
     def clutch(self, pressed: bool, T_base_tool: pin.SE3) -> None:
-        """Press, or release: from then on the handle's present pose stands for the tool's."""
+        """Press or release the clutch; on release the handle's pose is latched to the tool's."""
         self.clutched, self.held = pressed, False
         if not pressed:
             self._latch(T_base_tool)
             self.target = self._teleop.proxy(self.handle)
 
     def remap(self, scale: float, locked: bool) -> None:
-        """Another scale and lock, as in `Teleop`; the proxy stays where it is."""
+        """Set scale and lock, as in `Teleop`; the proxy does not move."""
         proxy = self._teleop.proxy(self.handle)
         self._teleop = latch(scale, self.handle, proxy, locked)
 

@@ -1,8 +1,8 @@
-"""What a master and an arm must offer. A device is one class that does; it need not inherit.
+"""Protocols of a master and an arm. A device is a class that implements one; it need not inherit.
 
 Poses are in the arm's base frame, lengths in metres, angles in radians, forces in newtons. No
-method waits: a device that talks to hardware does so on a thread of its own, and checks there what
-comes in (finite, orthonormal, in range, in order, not too old).
+method blocks: a driver of real hardware communicates on its own thread, and validates its input
+there (finite, orthonormal, in range, in order, not too old).
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ FloatArray = NDArray[np.float64]
 
 
 class Master(Protocol):
-    """What an operator holds: it says where it is, and takes the force on the operator's hand."""
+    """An input device held by the operator, with force feedback."""
 
     @property
     def handle(self) -> pin.SE3:
-        """Its pose, the newest that passed the checks."""
+        """The newest valid pose of the handle."""
         ...
 
     @property
@@ -31,7 +31,7 @@ class Master(Protocol):
 
     @property
     def held(self) -> bool:
-        """Whether it is in a hand, so that it must go on saying so or the tool holds."""
+        """Whether the operator is moving it; then commands must keep coming, or the tool holds."""
         ...
 
     def feel(self, force: FloatArray) -> None:
@@ -40,16 +40,16 @@ class Master(Protocol):
 
 
 class Arm(Protocol):
-    """A robot's joints: where they are, and where they are to go."""
+    """A robot arm: measured joints and joint set-points."""
 
     def measured(self) -> FloatArray | None:
-        """The joints (n,) as they are now; None: not known, or too old: the tool holds."""
+        """The present joints (n,); None, if unknown or too old, holds the tool."""
         ...
 
     def servo(self, q: FloatArray) -> None:
-        """Go to the joints q (n,), once a tick; without another call the last ones stay.
+        """Set the joint set-point q (n,), once a tick; it stays in force until the next call.
 
-        They are one tick away, except after a reset or a change of scene, which put the tool to the
-        scene's start. Wherever the arm is by the next tick, that tick starts from `measured`.
+        It is within one tick's motion, except after a reset or a change of scene, which move the
+        tool to the scene's start. The next tick starts from `measured` in any case.
         """
         ...

@@ -1,4 +1,4 @@
-"""The simulated arm, which is where it was sent."""
+"""A simulated arm with ideal tracking."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 class SimulatedArm:
-    """An `Arm` without inertia or delay: the joints are the last set-point, to the bit."""
+    """An `Arm` without inertia or delay: the measured joints are the last set-point, bitwise."""
 
     def __init__(self, q: NDArray[np.float64]) -> None:
         """Stand at the joints q (n,) [rad or m]."""
@@ -18,5 +18,5 @@ class SimulatedArm:
         return self._q
 
     def servo(self, q: NDArray[np.float64]) -> None:
-        """Be at q (n,) at once."""
+        """Set the joints q (n,) at once."""
         self._q = q

@@ -1,1 +1,1 @@
-"""Judges of what the rule promises, which share no code with it."""
+"""Independent checks of the rule's guarantees; they share no code with the rule."""

@@ -1,8 +1,8 @@
-"""Which triangles may be near a segment: what the judges take their candidates from.
+"""Bounding volume hierarchy: the judges' candidate triangles near a segment.
 
-A hierarchy of axis-parallel boxes over the triangles in the order of a space-filling curve. It is
-built from vertices and faces alone and shares no code with `vf`, but for the decorator that
-compiles and caches: a defect of the PD-tree does not hide a triangle here.
+Axis-aligned boxes over the triangles in Morton order. It is built from vertices and faces alone and
+shares no code with `vf` except the decorator that compiles and caches, so that a defect of the
+PD-tree cannot hide a triangle here.
 
 G. M. Morton, "A computer oriented geodetic data base and a new technique in file sequencing", IBM
 1966; C. Lauterbach et al., "Fast BVH construction on GPUs", Eurographics 2009.
@@ -22,20 +22,20 @@ from vf.kernels import njit
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-FAN = 4  # boxes in a box
-BITS = 21  # of each coordinate in a place on the curve
-ROOM = 256  # triangles that a segment may have near it, for a start
+FAN = 4  # children of a box
+BITS = 21  # of each coordinate in a Morton code
+ROOM = 256  # initial capacity of the list of triangles near a segment
 
 
 class Boxes(NamedTuple):
     """Triangles and their hierarchy of boxes.
 
     Attributes:
-        vertices, faces: (n, 3) [m] and (m, 3), as they were given.
-        order: (m,) the triangles along the curve: the lowest level, whose boxes are not kept.
+        vertices, faces: (n, 3) [m] and (m, 3), as given.
+        order: (m,) the triangles in Morton order: the lowest level, whose boxes are not stored.
         boxes: (k, 6) lowest and highest corner [m] of the levels above, each around up to `FAN`
-            neighbours of the level below.
-        levels: (l, 2) how many boxes a level has, and the row of its first; the last level has one.
+            consecutive boxes of the level below.
+        levels: (l, 2) number of boxes of a level, and the row of its first; the last level has one.
     """
 
     vertices: FloatArray
@@ -49,7 +49,7 @@ def build(vertices: FloatArray, faces: IntArray) -> Boxes:
     """Boxes over the triangles `faces` (m, 3), m ≥ 1, of finite `vertices` (n, 3) [m]."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    order = np.argsort(_places(vertices, faces), kind="stable")
+    order = np.argsort(_morton_codes(vertices, faces), kind="stable")
     levels = [(len(faces), 0)]
     rows = 0
     while len(levels) == 1 or levels[-1][0] > 1:
@@ -63,10 +63,10 @@ def build(vertices: FloatArray, faces: IntArray) -> Boxes:
 
 
 def near(boxes: Boxes, a: FloatArray, b: FloatArray, reach: float) -> IntArray:
-    """Every triangle that comes within `reach` [m] of the segment from a to b (3,), and others.
+    """Triangles whose box, grown by `reach` [m] on every side, meets the segment from a to b (3,).
 
-    Those whose box does, grown by that in every direction; what only touches counts, and rounding
-    counts too many rather than too few.
+    A superset of the triangles within `reach` of the segment: touching counts, and rounding errors
+    only add triangles.
     """
     found = np.empty(ROOM, dtype=np.int64)
     while True:
@@ -80,7 +80,7 @@ _known: WeakKeyDictionary[vf.Surface, Boxes] = WeakKeyDictionary()
 
 
 def of(surface: vf.Surface) -> Boxes:
-    """The boxes of a surface, built when they are first asked for and kept as long as it is."""
+    """The boxes of a surface, built at the first call and cached as long as the surface exists."""
     boxes = _known.get(surface)
     if boxes is None:
         boxes = _known[surface] = build(surface.vertices, surface.faces)
@@ -98,8 +98,8 @@ def _box(vertices, faces, t, box):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _places(vertices, faces):  # type: ignore[no-untyped-def]
-    """Where the middle of each triangle's box is along the curve (m,)."""
+def _morton_codes(vertices, faces):  # type: ignore[no-untyped-def]
+    """Morton code of the centre of each triangle's box (m,)."""
     m = faces.shape[0]
     box = np.empty(6)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -108,23 +108,23 @@ def _places(vertices, faces):  # type: ignore[no-untyped-def]
         for axis in range(3):
             low[axis] = min(low[axis], box[axis])
             high[axis] = max(high[axis], box[3 + axis])
-    places = np.empty(m, dtype=np.int64)
+    codes = np.empty(m, dtype=np.int64)
     for t in range(m):
         _box(vertices, faces, t, box)
-        place = 0
+        code = 0
         for axis in range(3):
             size = high[axis] - low[axis]
             share = (0.5 * (box[axis] + box[3 + axis]) - low[axis]) / size if size > 0.0 else 0.0
             cell = int(share * (2**BITS - 1))
             for bit in range(BITS):
-                place |= ((cell >> bit) & 1) << (3 * bit + axis)
-        places[t] = place
-    return places
+                code |= ((cell >> bit) & 1) << (3 * bit + axis)
+        codes[t] = code
+    return codes
 
 
 @njit(cache=True, nogil=True)
 def _fill(vertices, faces, order, boxes, levels):  # type: ignore[no-untyped-def]
-    """The boxes of all levels, from the lowest upwards."""
+    """Compute the boxes of all levels, from the lowest upwards."""
     box = np.empty(6)
     boxes[:, :3] = np.inf
     boxes[:, 3:] = -np.inf
@@ -152,7 +152,7 @@ def _reaches(box, a, b, reach, slack):  # type: ignore[no-untyped-def]
         if max(start, end) < low or min(start, end) > high:
             return False
         way = end - start
-        if abs(way) > slack:  # else the interval above has said all
+        if abs(way) > slack:  # else the interval test above is sufficient
             u, v = (low - start) / way, (high - start) / way
             first, last = max(first, min(u, v)), min(last, max(u, v))
             if first > last:
@@ -162,14 +162,14 @@ def _reaches(box, a, b, reach, slack):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def list_near(vertices, faces, order, boxes, levels, a, b, reach, found):  # type: ignore[no-untyped-def]
-    """`near` as far as `found` has room; returns how many there are, which may be more."""
+    """`near` into `found`; returns the number of triangles, which may exceed its capacity."""
     top = levels.shape[0] - 1
     whole = boxes[levels[top, 1]]
     size = reach
     for axis in range(3):
         size = max(size, max(abs(a[axis]), abs(b[axis])))
         size = max(size, max(abs(whole[axis]), abs(whole[3 + axis])))
-    slack = 1e-14 * size  # some dozen roundings of the largest coordinate
+    slack = 1e-14 * size  # bounds the rounding error: a few dozen ulps of the largest coordinate
     box = np.empty(6)
     count = 0
     level, i = top, 0
@@ -186,7 +186,7 @@ def list_near(vertices, faces, order, boxes, levels, a, b, reach, found):  # typ
                     found[count] = order[i]
                 count += 1
         i += 1
-        # The last of its siblings: on with the next of the box around them.
+        # After the last sibling continue with the next box of the level above.
         while level < top and (i % FAN == 0 or i == levels[level, 0]):
             i = (i + FAN - 1) // FAN
             level += 1

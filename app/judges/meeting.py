@@ -1,8 +1,7 @@
-"""Where a tip that moves along segments first meets a mesh. Knows no planes and no rules.
+"""First intersection of a tip that moves along segments with a mesh, independent of the rule.
 
-`boxes` says which triangles are near a segment, not the PD-tree that the planes
-come from; what is tested is the segment itself against the triangle itself, in rational arithmetic
-where rounding leaves the answer open.
+Candidates come from `boxes`, not from the PD-tree. Segment and triangle are tested in floating
+point, and in rational arithmetic where rounding leaves the answer open.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 import vf
 from app.judges import boxes, exact
 from app.judges.boxes import ROOM, list_near
-from app.judges.oracles import SCRATCH, distance, touches
+from app.judges.oracles import OVERLAP_TOLERANCE, distance, touches
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
@@ -26,12 +25,12 @@ _OPEN, _CROSSED, _TOUCHED = 1, 2, 3
 
 @dataclass(frozen=True)
 class Meeting:
-    """The first of some segments that meets the surface.
+    """The first segment that meets the surface.
 
     Attributes:
-        segment: its number.
+        segment: its index.
         triangle: the caller's index of the triangle met first along it.
-        point: (3,) where, on the segment [m].
+        point: (3,) on the segment [m].
         centre: whether the segment itself meets the triangle; else only the ball around its end.
     """
 
@@ -46,10 +45,10 @@ def first_meeting(
 ) -> Meeting | None:
     """The first segment from starts[k] to ends[k], both (n, 3) [m], that meets a triangle.
 
-    A segment meets a triangle that it shares a point with: exactly so, ends and edges included.
-    With a `tip_radius` [m] it also meets one that comes nearer than that (by more than `SCRATCH`),
-    unless the ball overlapped some triangle at the segment's start already: then only the centre
-    is judged. A segment without length meets nothing.
+    A segment meets a triangle if they share a point, boundaries included; this test is exact. With
+    a `tip_radius` [m] it also meets a triangle nearer than that (by more than `OVERLAP_TOLERANCE`),
+    unless the ball already overlapped a triangle at the segment's start: then only the centre is
+    tested. A segment without length meets nothing.
     """
     around = boxes.of(surface)
     starts, ends = np.ascontiguousarray(starts), np.ascontiguousarray(ends)
@@ -76,7 +75,7 @@ def first_meeting(
 
 
 def warm_up() -> None:
-    """Have the kernels compiled, or loaded from disk."""
+    """Compile the kernels, or load them from disk."""
     sheet = vf.Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     first_meeting(sheet, np.array([[0.1, 0.1, 1.0]]), np.array([[0.1, 0.1, -1.0]]))
 
@@ -87,7 +86,7 @@ def sees(surface: vf.Surface, a: FloatArray, b: FloatArray) -> bool:
 
 
 def _share(a: FloatArray, b: FloatArray, corners: FloatArray) -> float:
-    """How far along the segment it is in the triangle's plane, or nearest to it, from 0 to 1."""
+    """Parameter in [0, 1] of the segment's point on, or nearest to, the triangle's plane."""
     n = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     before, after = float(n @ (a - corners[0])), float(n @ (b - corners[0]))
     if before * after < 0.0:
@@ -97,12 +96,12 @@ def _share(a: FloatArray, b: FloatArray, corners: FloatArray) -> float:
 
 @njit(cache=True, nogil=True)
 def _next(vertices, faces, order, table, levels, starts, ends, tip_radius, first, found, verdicts):  # type: ignore[no-untyped-def]
-    """The next segment that may meet a triangle (−1: none), with how many, and how many are near.
+    """The next segment that may meet a triangle (−1: none), its hits, and its candidates.
 
-    Which they are and what is known of each is written, unless there is no room for all that are
-    near: then nothing is known of that segment yet.
+    Writes the triangles hit and their verdicts, unless `found` is too small for all candidates:
+    then the segment has not been tested, and the number of hits is 0.
     """
-    room = tip_radius - SCRATCH
+    room = tip_radius - OVERLAP_TOLERANCE
     for k in range(first, starts.shape[0]):
         a, b = starts[k], ends[k]
         if a[0] == b[0] and a[1] == b[1] and a[2] == b[2]:

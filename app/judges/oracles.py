@@ -1,7 +1,7 @@
-"""Judges of the certified rule that share no code with it, not even the list of local triangles.
+"""Oracles of the certified rule that share no code with it, not even the local triangle list.
 
-Of a `vf.Surface` they read the vertices and the faces, which are the caller's own numbers; which of
-them are near, `app.judges.boxes` finds. Of `vf` they use the decorator that compiles.
+Of a `vf.Surface` they read only vertices and faces; candidates come from `app.judges.boxes`. Of
+`vf` they use only the decorator that compiles.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 
-# A ball may overlap a triangle by this much of rounding [m].
-SCRATCH = 1e-9
+OVERLAP_TOLERANCE = 1e-9  # for rounding, by which a ball may overlap a triangle [m]
 
 
 def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
-    """Number of triangles that the closed segment from a to b (3,) touches or crosses: exact."""
+    """Exact number of triangles that the closed segment from a to b (3,) touches or crosses."""
     near = boxes.near(boxes.of(surface), a, b, 0.0)
     return _count_crossings(surface, near, a, b)
 
@@ -35,12 +34,12 @@ def _count_crossings(
 
 
 def scrapes(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float) -> int:
-    """Number of triangles that a ball of `tip_radius` [m] cuts on its way from a to b (3,).
+    """Number of triangles that a ball of `tip_radius` [m] overlaps between a and b (3,).
 
-    "Cuts" by more than `SCRATCH`.
+    Overlaps of at most `OVERLAP_TOLERANCE` do not count.
     """
     near = boxes.near(boxes.of(surface), a, b, tip_radius)
-    room = tip_radius - SCRATCH
+    room = tip_radius - OVERLAP_TOLERANCE
     return int(_count_scrapes(surface.vertices, surface.faces, near, a, b, room))
 
 
@@ -52,10 +51,10 @@ def leaks(
     tip_radius: float = 0.0,
     tolerance: float = 1e-11,
 ) -> int:
-    """Triangles with a point in the ball strictly on the allowed side of every plane.
+    """Number of triangles with a point in the ball strictly on the allowed side of every plane.
 
-    The ball is larger by the tip's radius and the planes are moved back by it. "Strictly" and "in
-    the ball" by more than `tolerance` [m].
+    The ball is enlarged and the planes are moved back by the tip's radius. "In the ball" and
+    "strictly" mean by more than `tolerance` [m].
     """
     p = np.asarray(x, dtype=np.float64)
     reach = radius + tip_radius
@@ -73,9 +72,10 @@ def distances(surface: vf.Surface, triangles: NDArray[np.int64], x: FloatArray) 
     return np.asarray(_distances(surface.vertices, surface.faces, triangles, x))
 
 
-def aside(path: FloatArray, direction: FloatArray, p: FloatArray) -> float:
-    """Distance [m] of p (3,) from a path (k, 3), its ends carried on straight, seen along a
-    direction (3,) of length 1.
+def lateral_distance(path: FloatArray, direction: FloatArray, p: FloatArray) -> float:
+    """Distance [m] of p (3,) from a path (k, 3), both projected along a unit direction (3,).
+
+    The path is extended straight at both ends.
     """
     flat = path - np.outer(path @ direction, direction)
     q = p - (p @ direction) * direction
@@ -97,10 +97,10 @@ def blocked(
     rng: np.random.Generator,
     samples: int = 64,
 ) -> tuple[int, int]:
-    """Of sampled points that a straight free path reaches: how many are forbidden, how many.
+    """Sample points that a free straight segment from x (3,) reaches: (forbidden ones, all).
 
-    The points are uniform in the ball of `radius` [m] around x (3,). Forbidden is what is behind a
-    plane, and what is outside the ball that the planes are valid in, if that is a smaller one.
+    The points are uniform in the ball of `radius` [m] around x. Forbidden are points behind a plane
+    or outside the ball in which the planes are valid, if it is smaller.
     """
     u = rng.normal(size=(samples, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
@@ -118,7 +118,7 @@ def blocked(
 
 @njit(cache=True, nogil=True)
 def _orient(p, q, r, s):  # type: ignore[no-untyped-def]
-    """Sign of the volume of p, q, r, s; 0 where rounding leaves it open (Shewchuk's filter)."""
+    """Sign of the volume of p, q, r, s; 0 if rounding leaves it open (Shewchuk's filter)."""
     ax, ay, az = p[0] - s[0], p[1] - s[1], p[2] - s[2]
     bx, by, bz = q[0] - s[0], q[1] - s[1], q[2] - s[2]
     cx, cy, cz = r[0] - s[0], r[1] - s[1], r[2] - s[2]
@@ -138,7 +138,7 @@ def _orient(p, q, r, s):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _segments_distance2(p, q, r, s):  # type: ignore[no-untyped-def]
-    """Squared distance of the segments pq and rs, by trying all kinds of closest pairs."""
+    """Squared distance of the segments pq and rs: the least over all types of closest pairs."""
     best = np.inf
     for k in range(4):
         if k == 0:
@@ -177,13 +177,13 @@ def _cross(u, v):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _in_prism(a, b, c, p):  # type: ignore[no-untyped-def]
-    """Height of p over the triangle's plane if it projects inside, else infinity."""
+    """Distance of p from the triangle's plane if p projects into the triangle, else infinity."""
     u, v, w = b - a, c - a, p - a
     n = _cross(u, v)
     nn = n @ n
     if nn == 0.0:
         return np.inf
-    # By cross products: the Gram determinant of a needle is lost to cancellation.
+    # By cross products: the Gram determinant of a needle suffers from cancellation.
     s = _cross(w, v) @ n / nn
     t = _cross(u, w) @ n / nn
     if s < 0.0 or t < 0.0 or s + t > 1.0:
@@ -229,7 +229,7 @@ def touches(a, b, p, q, r):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _cut(vertices, faces, rows, a, b, doubtful):  # type: ignore[no-untyped-def]
-    """Number of triangles that the segment ab surely meets; the doubtful ones, and their number."""
+    """(Triangles that the segment ab certainly meets, undecided ones); the latter are listed."""
     count = 0
     doubts = 0
     for i in rows:
@@ -256,10 +256,10 @@ def _count_scrapes(vertices, faces, rows, a, b, room):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _count_leaks(vertices, faces, rows, normals, offsets, x, radius, tolerance):  # type: ignore[no-untyped-def]
-    """Clips each triangle in its own coordinates (s, t) by every half-space.
+    """Clip each triangle in its coordinates (s, t) by every half-space.
 
-    On the triangle a + s u + t v a plane's room is linear in s and t, so what is left of the unit
-    triangle is a convex polygon there; its distance to x is sought over its edges and its inside.
+    On the triangle a + s u + t v the signed distance to a plane is linear in s and t, so the rest
+    of the unit triangle is a convex polygon; its distance to x is the least over edges and inside.
     """
     m = offsets.shape[0]
     size = m + 8

@@ -1,4 +1,4 @@
-"""A session in one file: `format` says what is in it, and no file is trusted.
+"""Recording of a session in one file: `format` describes it, `write` and `read` do the I/O.
 
-`write.Recorder` makes a file, `read.read` gives back what is in one.
+Every file that is read is validated.
 """

@@ -1,8 +1,8 @@
-"""Recordings of version 1: a zip archive of JSON and arrays, whose list of contents came last.
+"""Reads recordings of version 1, a zip archive of JSON and arrays; new ones are of version 2.
 
 ``header.json`` has format, version, package versions, state, scenes, plants, the number of orders
 and of rows in each chunk, and why the recording ended; ``orders/<column>.npy`` and
-``rows/<chunk>/<column>.npy`` are the columns of `ORDERS` and `ROWS`. Nothing writes them any more.
+``rows/<chunk>/<column>.npy`` are the columns of `ORDERS` and `ROWS`.
 """
 
 from __future__ import annotations
@@ -31,11 +31,10 @@ VERSION = 1
 
 
 def read(file: BinaryIO) -> Recording:
-    """A recording from an archive that nobody vouches for.
+    """A recording from an untrusted archive.
 
     Raises:
-        RecordingError: it is no recording, damaged, of another version, or larger than any; the
-            message is one line.
+        RecordingError: not a recording, damaged, of another version, or too large; one line.
         OSError: it cannot be read.
     """
     try:
@@ -44,7 +43,7 @@ def read(file: BinaryIO) -> Recording:
     except (
         zipfile.BadZipFile,
         zlib.error,
-        NotImplementedError,  # a compression of another kind
+        NotImplementedError,  # an unsupported compression
         RuntimeError,  # encrypted
         EOFError,
         struct.error,
@@ -54,7 +53,7 @@ def read(file: BinaryIO) -> Recording:
 
 
 class _Reader:
-    """Reads one archive; no size is believed before it is compared with what it must be."""
+    """Reads one archive; sizes are checked before memory is allocated for them."""
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive
@@ -79,7 +78,7 @@ class _Reader:
             at += n
         expected = 1 + len(ORDERS.names or ()) + len(chunks) * len(ROWS.names or ())
         if len(self._members) != expected:
-            raise RecordingError("there are members that do not belong into a recording")
+            raise RecordingError("it has members that a recording does not have")
         recording = Recording(
             places=places,
             plants=plants,

@@ -1,4 +1,4 @@
-"""Records a running loop without holding it up: the loop appends, another thread writes."""
+"""Records a running loop without delaying it: the loop appends to a queue, a thread writes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from pathlib import Path
 
+from app.console import count
 from app.control.engine import Orders, State
 from app.control.messages import Telemetry
 from app.recording.format import RecordingError
@@ -15,25 +16,24 @@ from app.recording.write import Recorder
 
 log = logging.getLogger(__name__)
 
-PERIOD = 0.05  # between two rounds of the writing thread [s]
-BEHIND = 20_000  # ticks that may wait to be written
+PERIOD = 0.05  # between two writes [s]
+BEHIND = 20_000  # capacity of the queue [ticks]
 
 
 class Tape:
-    """One recording under way.
+    """A recording in progress.
 
-    The control thread calls `begin` once and `take` after each tick: a look at a length and an
-    append. The writing thread puts everything into the file every `PERIOD`, where it is readable
-    even if this process is killed. If it falls behind by `BEHIND` ticks, or the disk is full, the
-    recording ends there, with the reason in `note` and, where there is room, in the file; the loop
-    goes on.
+    The control thread calls `begin` once and `take` after each tick, which only appends to a queue.
+    A thread writes the queue to the file every `PERIOD`; what is written stays readable even if
+    this process is killed. If the queue or the disk is full, the recording ends, with the reason in
+    `note` and, if possible, in the file; the loop continues.
 
     Attributes:
-        path: of the file; not the one asked for if that was there.
-        asked: the path that was asked for.
+        path: of the file; another one than was requested if that existed.
+        asked: the path that was requested.
         begun: whether `begin` was called.
-        note: why the recording ended, if it was not told to.
-        rows: how many ticks are in the file.
+        note: why the recording ended before `finish`; empty: it did not.
+        rows: number of ticks in the file.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -48,31 +48,32 @@ class Tape:
         self.note = ""
         self.rows = 0
         self._queue: deque[tuple[Orders, Telemetry, bool] | tuple[Orders, State]] = deque()
-        self._lost = False
+        self._newest: Orders | None = None
+        self._ended = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="tape", daemon=True)
         self._thread.start()
 
     @property
     def running(self) -> bool:
-        """Whether ticks are still taken or written."""
+        """Whether the writing thread runs."""
         return self._thread.is_alive()
 
     @property
     def outcome(self) -> str:
-        """A sentence on what came of it."""
+        """The result of the recording, in one sentence."""
         if not self.rows:
             return f"Nothing was recorded{': ' + self.note if self.note else ''}."
         ending = f"; it ended because {self.note}" if self.note else ""
-        return f"Recorded {self.rows:,} {_ticks(self.rows)} to {self.path}{ending}.{self.elsewhere}"
+        return f"Recorded {count(self.rows, 'tick')} to {self.path}{ending}.{self.elsewhere}"
 
     @property
     def elsewhere(self) -> str:
-        """A sentence on why the file has another name than was asked for; empty: it has not."""
+        """Why the file has another name than was requested, in one sentence; empty: it has not."""
         return f" ({self.asked.name} was there already.)" if self.path != self.asked else ""
 
     def begin(self, seen: Orders, state: State) -> None:
-        """From the control thread: what the ticks to come start from."""
+        """From the control thread: the state before the first recorded tick."""
         self._queue.append((seen, state))
         self.begun = True
 
@@ -81,32 +82,30 @@ class Tape:
         if not ticked and orders is self._newest:
             return  # paused: nothing happened
         self._newest = orders
-        if len(self._queue) < BEHIND and not self._lost:
+        if len(self._queue) < BEHIND and not self._ended:
             self._queue.append((orders, telemetry, ticked))
         else:
-            self._lost = True
-
-    _newest: Orders | None = None
+            self._ended = True
 
     def finish(self) -> None:
-        """Write what is still waiting and wait for the file. Safe to call twice."""
+        """Write the rest of the queue and close the file. Safe to call twice."""
         self._stop.set()
         self._thread.join()
 
     def _run(self) -> None:
         recorder = self._recorder
         try:
-            while not self._stop.wait(PERIOD) and not self._lost:
+            while not self._stop.wait(PERIOD) and not self._ended:
                 self._drain()
             self._drain()
-            if self._lost:
+            if self._ended:
                 self.note = f"the writing fell {BEHIND:,} ticks behind"
         except (RecordingError, OSError) as error:
             self.note = _reason(error)
         except Exception as error:
             log.exception("the recording failed")
             self.note = f"of an error of this program ({error!r})"
-        self._lost = True  # nothing is taken any more
+        self._ended = True
         self._queue.clear()
         try:
             if recorder.rows:
@@ -136,7 +135,3 @@ def _reason(error: Exception) -> str:
         return str(error)
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     return f"{'the disk is full' if full else 'the file cannot be written'} ({error.strerror})"
-
-
-def _ticks(n: int) -> str:
-    return "tick" if n == 1 else "ticks"

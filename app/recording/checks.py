@@ -1,4 +1,4 @@
-"""What the tables of a recording must be, whichever file they came from."""
+"""Validates the tables of a recording, of any version of the format."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from app.settings import number
 
 
 def check(recording: Recording) -> None:
-    """Refuse what no recorder writes."""
+    """Refuse tables that no recorder writes.
+
+    Raises:
+        RecordingError: with the column and the row.
+    """
     orders, rows = recording.orders, recording.rows
     if len({options.rate for _, options in recording.plants}) != 1:
         raise RecordingError("the rate changes within the recording")

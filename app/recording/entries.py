@@ -1,12 +1,14 @@
-"""Entries of a recording's header, none of them trusted: each is what it must be, or refused.
+"""Validated JSON entries of a recording.
 
-Their types and sizes are checked by msgspec as they are read, the rest here.
+Types and sizes are checked by msgspec while decoding, other conditions here.
 """
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import msgspec
 import numpy as np
@@ -33,22 +35,23 @@ from app.scenarios.values import LONGEST
 from app.settings import Options
 from app.words import OptionError
 
-COURSE_FARTHEST = 2.0 * FARTHEST  # [m] of a scenario's place in its mesh, which is placed in turn
+COURSE_FARTHEST = 2.0 * FARTHEST  # of a waypoint: its place in the mesh plus the mesh's place [m]
 COURSE_LONGEST = LONGEST  # [s]
 
 T = TypeVar("T")
 Count = Annotated[int, Meta(ge=0, le=(1 << 62) - 1)]
 Size = Annotated[int, Meta(ge=1, le=1 << 40)]
-Joints = Annotated[list[float], Meta(min_length=1, max_length=JOINTS)]
-Row = tuple[float, float, float]
-PoseRow = tuple[float, float, float, float]
+Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+Joints = Annotated[list[Finite], Meta(min_length=1, max_length=JOINTS)]
+Row = tuple[Finite, Finite, Finite]
+PoseRow = tuple[Finite, Finite, Finite, Finite]
 
 
 class CourseEntry(Struct):
     """A scenario's script."""
 
     rotation: tuple[Row, Row, Row]
-    times: Annotated[list[float], Meta(min_length=1, max_length=MAX_WAYPOINTS)]
+    times: Annotated[list[Finite], Meta(min_length=1, max_length=MAX_WAYPOINTS)]
     points: list[Row]
 
 
@@ -90,7 +93,7 @@ class Head(Struct):
 
 
 class Part(Struct):
-    """What is new in a part of a recording."""
+    """The JSON of a part: scenes and plants that are new in it."""
 
     places: Annotated[list[PlaceEntry], Meta(max_length=MAX_PLANTS)]
     plants: Annotated[list[PlantEntry], Meta(max_length=MAX_PLANTS)]
@@ -119,10 +122,13 @@ class _Version(Struct):
 
 
 def read(data: bytes, kind: type[T], name: str) -> T:
-    """An entry from its JSON; `name` is what to call it."""
+    """An entry from its JSON; `name` is used in errors.
+
+    Decoded by `json`, as msgspec's decoder refuses file names that are not UTF-8.
+    """
     try:
-        return msgspec.json.decode(data, type=kind)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        return msgspec.convert(json.loads(data, parse_constant=_no_constant), kind)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise RecordingError(f"{name} is damaged: {str(error)[:120]}") from None
 
 
@@ -139,7 +145,7 @@ def header(data: bytes, kind: type[T], version: int) -> T:
 
 
 def text(value: str, name: str) -> str:
-    """A short text without control characters; `name` is what to call it."""
+    """A short text without control characters; `name` is used in errors."""
     if len(value) > 4096 or not value.isprintable():
         raise RecordingError(f"the {name} in the header is no text")
     return value
@@ -161,7 +167,7 @@ def places(entries: Sequence[PlaceEntry]) -> tuple[Place, ...]:
 def plants(
     entries: Sequence[PlantEntry], places: int
 ) -> tuple[tuple[tuple[int, Options], ...], tuple[Course | None, ...]]:
-    """The plants in so many scenes, and their courses."""
+    """The plants and their courses; `places` is the number of scenes."""
     for entry in entries:
         if entry.place >= places:
             raise RecordingError(f"the place of a plant is {entry.place:,}, of {places:,}")
@@ -172,7 +178,7 @@ def plants(
 
 
 def state(entry: StateEntry, joints: int) -> engine.State:
-    """The engine's state, of an arm with so many joints."""
+    """The engine's state; `joints` is the number of the arm's joints."""
     if len(entry.q) != joints:
         raise RecordingError(f"{len(entry.q)} joints in the header's state, not {joints}")
     target = None
@@ -207,7 +213,7 @@ def _course(entry: CourseEntry) -> Course:
     if len(points) != len(times):
         raise RecordingError(f"the points of a course in the header are not {len(times)} rows")
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
-        raise RecordingError("the rotation of a course in the header is none")
+        raise RecordingError("the rotation of a course in the header is not a rotation")
     if (np.abs(points) > COURSE_FARTHEST).any():
         raise RecordingError(
             f"a point of a course in the header is more than {COURSE_FARTHEST:g} m from the base"
@@ -219,3 +225,8 @@ def _course(entry: CourseEntry) -> Course:
     if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
         raise RecordingError("the times of a course in the header do not rise from 0")
     return Course(rotation, times, points)
+
+
+def _no_constant(word: str) -> NoReturn:
+    """JSON has neither infinities nor NaN."""
+    raise ValueError(f"{word} is no number")

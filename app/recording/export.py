@@ -1,4 +1,4 @@
-"""A recording as a table for people and spreadsheets: one line a tick, units in the heading."""
+"""Exports a recording as CSV: one line per tick, units in the heading."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEADING = (
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write the rows of a recording as CSV; what a tick did not have is left empty.
+    """Write the rows of a recording as CSV; missing values are empty.
 
     Poses are in the arm's base frame. `command` is the number of the newest command.
 

@@ -1,30 +1,29 @@
-"""A session in one file: every order that took effect, every tick, and what they started from.
+"""Format of a recording: every order that took effect, every tick, and the state before them.
 
-The file, version 2, is only ever appended to, in blocks that are complete or not there: whatever
-ends the writing, all complete blocks are readable. It is `MAGIC` and then
+A file of version 2 is append-only and consists of blocks: wherever the writing ends, all complete
+blocks are readable. It is `MAGIC`, followed by
 
-- one ``HEAD``: JSON with format, version, package versions, and the state the engine started from;
+- one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
 - any number of ``PART``, zlib-compressed: the length of the JSON as a `LENGTH`, the JSON, and the
-  columns of two tables one after another. The JSON has the scenes that are new in it (options at
-  the time they were built, the mesh by name, size and SHA-256 of the placed surface, start joints),
-  the plants that are new (scene, options and a scenario's course, one for every change of a
-  setting), and the number of new orders. The tables are those orders, as `ORDERS`: what the session
-  wanted, one row for every `Orders` the engine saw; and `ROWS`: one row for every tick, and one for
-  every change of the orders while the loop was paused, as they happened. The column ``order`` is
-  the order that counted, so the first row with an order tells the tick at which it took effect;
-- one ``LAST``: JSON with why the recording ended. A file without it was cut off.
+  columns of two tables one after another. The JSON has the new scenes (options they were built
+  with, the mesh by name, size and SHA-256 of the placed surface, start joints), the new plants
+  (scene, options and a scenario's course; one for every change of a setting), and the number of new
+  orders. The tables are the new orders, as `ORDERS`, one row for every `Orders` the engine saw; and
+  `ROWS`, one row for every tick, and one for every change of the orders while the loop was paused.
+  The column ``order`` is the order in force, so the first row with an order is the tick at which it
+  took effect;
+- one ``LAST``: JSON with why the recording ended. A file without it is truncated.
 
-Each block begins with a `BLOCK`: its kind, the length of what follows [byte], how many rows are in
-it (in ``LAST``: in all), and the CRC-32 of all this but itself, begun with that of the block before
-(that of `MAGIC` before the first), so that no block can be lost or put elsewhere unnoticed.
+Each block begins with a `BLOCK`: kind, length of the content [byte], number of its rows (in
+``LAST``: of all rows), and the CRC-32 of these and the content, starting from the CRC of the
+previous block (of `MAGIC` for the first), so that a missing or moved block is detected.
 
 Columns are little-endian, SI units, poses in the arm's base frame. An order that was replaced by a
-newer one before the engine looked had no effect and is not in the file. Planes are not stored:
+newer one before the engine read it had no effect and is not in the file. Planes are not stored:
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
-and checked against ``planes_crc``.
+and checked against ``planes_crc``. Options of the server, such as host and port, are not recorded.
 
-Version 1, a zip archive whose list of contents came last, is still read: see `archive`. Host, port
-and other matters of the server are not recorded.
+Version 1 is still read, see `archive`.
 """
 
 from __future__ import annotations
@@ -48,8 +47,8 @@ BLOCK = struct.Struct("<4sIII")
 LENGTH = struct.Struct("<I")
 HEAD, PART, LAST = b"HEAD", b"PART", b"LAST"
 SUFFIX = ".vfrec"
-JOINTS = 8  # width of the column q; an arm with fewer has zeros behind
-CHUNK = 4096  # most rows that are compressed together
+JOINTS = 8  # width of the column q, padded with zeros
+CHUNK = 4096  # largest number of rows in a part
 MAX_ROWS = 4_000_000  # over an hour at 1 kHz
 MAX_ORDERS = 1_000_000
 MAX_PLANTS = 20_000
@@ -79,14 +78,14 @@ ORDERS = np.dtype(
 )
 ROWS = np.dtype(
     [
-        ("order", "<u4"),  # row of the orders that counted
+        ("order", "<u4"),  # row of the orders in force
         ("ticked", "u1"),  # 0: paused, only the orders changed
         ("tick", "<i8"),
         ("q", "<f8", (JOINTS,)),  # joints after the tick [rad or m]
         ("driven", "u1"),  # whether the tick had a target
         ("target", "<f8", (3,)),  # of the tip (the proxy) [m]
         ("stale", "u1"),
-        ("stepped", "u1"),  # whether the controller was asked; else what follows is zero
+        ("stepped", "u1"),  # whether the controller was called; else the columns below are zero
         ("tip", "<f8", (3,)),  # [m]
         ("force", "<f8", (3,)),  # [N]
         ("status", "u1"),  # vf.Status
@@ -104,11 +103,11 @@ COMPARED = tuple(name for name in ROWS.names or () if name != "spent")
 
 
 class RecordingError(ValueError):
-    """A file that is no recording, or not one that can be used here; the message says why."""
+    """A file that is not a usable recording; the message says why."""
 
 
 def chained(crc: int, kind: bytes, rows: int, content: bytes) -> int:
-    """The CRC-32 of a block, by that of the one before."""
+    """The CRC-32 of a block, starting from that of the previous one."""
     return zlib.crc32(content, zlib.crc32(BLOCK.pack(kind, len(content), rows, 0), crc))
 
 
@@ -119,7 +118,7 @@ class Place:
     Attributes:
         options: those it was built with.
         vertices, triangles: size of its mesh.
-        checksum: `vf.Surface.checksum` of the mesh in its place.
+        checksum: `vf.Surface.checksum` of the placed mesh.
         start: (n,) joints the tool starts from.
     """
 
@@ -132,18 +131,18 @@ class Place:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a file holds, checked.
+    """The validated content of a file.
 
     Attributes:
-        places: the scenes, in the order they were entered.
+        places: the scenes, in order of their use.
         plants: scene (index of `places`) and options of every plant.
         courses: a scenario's script of every plant; None: the scene's own autopilot.
         state: the engine's, before the first row.
-        orders: (k,) `ORDERS`; the first is what counted before the first row.
+        orders: (k,) `ORDERS`; the first are those in force before the first row.
         rows: (n,) `ROWS`.
-        note: why the recording ended, if not because it was told to.
+        note: why the recording ended, if it was not stopped by the user.
         packages: versions it was made with, by name.
-        cut: a sentence on what is missing at its end; empty: nothing is.
+        cut: what is missing at its end, in one sentence; empty: nothing.
     """
 
     places: tuple[Place, ...]
@@ -158,7 +157,7 @@ class Recording:
 
     @property
     def dt(self) -> float:
-        """Length of a tick [s]; the same all through a session."""
+        """Length of a tick [s], constant in a session."""
         return self.plants[0][1].dt
 
     def joints(self, row: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What is said of a recording in a list, without reading all of it."""
+"""Summary of a recording for a list of files, without decoding its tables."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from app.recording.read import blocks
 
 @dataclass(frozen=True)
 class Outline:
-    """What a file promises; nothing of it is checked.
+    """Summary of a file, not validated.
 
     Attributes:
-        rows: how many.
-        ended: whether it has an end.
+        rows: number of rows.
+        ended: whether the file is complete.
         meshes: the meshes of its scenes, as their options name them.
     """
 
@@ -30,7 +30,7 @@ class Outline:
 
 
 def outline(path: Path) -> Outline:
-    """Of a recording of any version; of what is none, an empty one."""
+    """The outline of a recording of any version; an empty one if the file is not a recording."""
     try:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:

@@ -1,4 +1,4 @@
-"""Any row of a recording as the telemetry it was, for a picture: planes are computed again."""
+"""Telemetry of any row of a recording, for drawing; planes are computed again."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from app.settings import Options
 
 @dataclass(frozen=True)
 class Moment:
-    """What there is to see, or was after a row of a recording.
+    """All that the view draws: the present state of a session, or that of a row of a recording.
 
     Attributes:
-        scene, options: in force; the telemetry may still be of the scene before.
+        scene, options: in force; the telemetry may still be of the previous scene.
         telemetry: the tick.
         clutched: whether the clutch is pressed.
         force: (3,) on the operator's hand [N].
-        handle: where the operator's handle is, base frame; None: a recording does not know.
-        crossing: where the tip crossed the mesh of this scene; None: nowhere, or not known.
+        handle: pose of the operator's handle, base frame; None in a recording.
+        crossing: where the tip crossed the mesh of this scene; None: nowhere, or unknown.
     """
 
     scene: Scene
@@ -60,13 +60,13 @@ def build_scenes(
     progress: Progress | None = None,
     stop: worker.Stop | None = None,
 ) -> tuple[Scene, ...]:
-    """A recording's scenes, numbered from `version`; one that is just like `like` is that one.
+    """A recording's scenes, numbered from `version`; `like` is reused if it is equal to one.
 
-    They are built without a pause for any other thread, see `worker`.
+    They are built in another process, see `worker`.
 
     Args:
-        progress: called with a few words before each step.
-        stop: stops it.
+        progress: called with a short text before each step.
+        stop: stops the work.
 
     Raises:
         ValueError: what `rerun.build`, `worker.Ended` and `worker.Stopped` raise.
@@ -85,12 +85,12 @@ def build_scenes(
         else:
             work = functools.partial(rerun.build, place, version + k, warm=False)
             arm = robots.load(place.options.robot)
-            built.append(worker.aside(work, place.options.mesh, arm, progress, stop))
+            built.append(worker.build_scene(work, place.options.mesh, arm, progress, stop))
     return tuple(built)
 
 
 class Player:
-    """Shows rows of a recording in any order. Not thread-safe (it owns a controller)."""
+    """Gives the rows of a recording in any order. Not thread-safe (it owns a controller)."""
 
     def __init__(self, recording: Recording, built: Sequence[Scene]) -> None:
         """`built` are the scenes of the recording, in its order."""
@@ -103,7 +103,7 @@ class Player:
         return len(self.recording.rows)
 
     def moment(self, row: int) -> Moment:
-        """What there was after row 0 … len − 1: numbers as recorded, planes computed again."""
+        """The state after row 0 … len − 1: numbers as recorded, planes computed again."""
         recording = self.recording
         noted = recording.rows[row]
         order = recording.orders[noted["order"]]
@@ -154,7 +154,7 @@ class Player:
         )
 
     def _before(self, row: int, q: np.ndarray) -> np.ndarray:
-        """Joints the tick of a row began with; after a reset or a change of scene, those of it."""
+        """Joints before the tick of a row; those after it if a reset or a new scene moved them."""
         rows, orders = self.recording.rows, self.recording.orders
         now = orders[rows["order"][row]]
         then = orders[rows["order"][row - 1] if row else 0]
@@ -166,10 +166,10 @@ class Player:
 
 
 class Transport:
-    """Where a replay stands: a row that moves on with time, or rests. Any thread may write."""
+    """Position of a replay: a row that advances with time, or rests. Any thread may write."""
 
     def __init__(self, times: NDArray[np.float64]) -> None:
-        """Times (n,) of the rows, not falling [s]."""
+        """Times (n,) of the rows, non-decreasing [s]."""
         self._times = times
         self._began = time.monotonic()
         self._from = float(times[0])
@@ -177,33 +177,33 @@ class Transport:
         self.playing = False
 
     def row(self) -> int:
-        """The row that is due now; the last one for good once it is reached."""
+        """The row that is due now; the replay stops at the last one."""
         due = self._due()
         if self.playing and due >= self._times[-1]:
             self.seek(due)
         return int(np.clip(np.searchsorted(self._times, due, "right") - 1, 0, len(self._times) - 1))
 
     def play(self, on: bool) -> None:
-        """Go on from here, at the end from the beginning; or stop."""
+        """Play from here, or from the beginning if at the end; or stop."""
         due = self._due()
         if on and due >= self._times[-1]:
             due = float(self._times[0])
         self._from, self._began, self.playing = due, time.monotonic(), on
 
     def pace(self, speed: float) -> None:
-        """Seconds of the recording per second."""
+        """Set the speed: seconds of the recording per second."""
         self._from, self._began = self._due(), time.monotonic()
         self.speed = speed
 
     def move(self, moments: int) -> None:
-        """Rest so many moments further on, or back; rows of the same time are one."""
+        """Stop and move by a number of distinct times, forwards or backwards."""
         times = np.unique(self._times)
         now = np.searchsorted(times, self._times[self.row()])
         self.playing = False
         self._from = float(times[np.clip(now + moments, 0, len(times) - 1)])
 
     def seek(self, at: float) -> None:
-        """Rest at the row nearest to a time [s]: whoever asks has rounded it."""
+        """Stop at the row nearest to a time [s], which the caller may have rounded."""
         self.playing = False
         times = self._times
         after = min(int(np.searchsorted(times, at)), len(times) - 1)

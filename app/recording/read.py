@@ -1,4 +1,4 @@
-"""Reads a recording from a file that nobody vouches for, as far as it was written."""
+"""Reads a recording from an untrusted file, which may be truncated."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from app.recording.format import (
 
 
 def read(path: Path | str) -> Recording:
-    """A recording from a file that nobody vouches for.
+    """A recording from an untrusted file.
 
-    What was cut off or is damaged from some place on is read up to there, and `Recording.cut` says
-    how much that is.
+    A truncated or damaged file is read up to the first incomplete or damaged block, and
+    `Recording.cut` says how much that is.
 
     Raises:
-        RecordingError: it is no recording, of another version, larger than any, or damaged from its
-            beginning, or it cannot be read; the message is one line.
+        RecordingError: not a recording, of another version, too large, damaged from its beginning,
+            or unreadable; one line.
     """
     try:
         with open(path, "rb") as file:
@@ -65,20 +65,20 @@ def read(path: Path | str) -> Recording:
 
 
 def under_way(path: Path | str) -> bool:
-    """Whether some session is recording into this file at the moment."""
+    """Whether a session is recording into this file now."""
     try:
         with open(path, "rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except OSError:
-        return False  # not there, or a file system without locks
+        return False  # no such file, or a file system without locks
     return False
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block as its beginning promises it."""
+    """The header of a block, not validated."""
 
     kind: bytes
     at: int  # where its content begins [byte]
@@ -88,7 +88,7 @@ class Block:
 
 
 def blocks(file: BinaryIO, size: int) -> list[Block]:
-    """The blocks as their beginnings promise them; the last may reach beyond the file's end."""
+    """The headers of all blocks; the last block may reach beyond the file's end."""
     found: list[Block] = []
     at = len(MAGIC)
     while at + BLOCK.size <= size:
@@ -105,17 +105,17 @@ def blocks(file: BinaryIO, size: int) -> list[Block]:
 
 def _recording(file: BinaryIO, going: bool) -> Recording:
     size = os.fstat(file.fileno()).st_size
-    promised = blocks(file, size)
-    due = sum(block.rows for block in promised if block.kind == PART)
+    listed = blocks(file, size)
+    due = sum(block.rows for block in listed if block.kind == PART)
     reader = _Reader(np.zeros(min(due, MAX_ROWS), dtype=ROWS))
     crc, end = zlib.crc32(MAGIC), len(MAGIC)
-    spoilt = None
-    for block in promised:
+    invalid = None
+    for block in listed:
         file.seek(block.at)
         content = file.read(block.size)
         crc = chained(crc, block.kind, block.rows, content)
         if len(content) != block.size or crc != block.crc:
-            spoilt = block
+            invalid = block
             break
         reader.take(block, content)
         end = block.at + block.size
@@ -127,24 +127,24 @@ def _recording(file: BinaryIO, going: bool) -> Recording:
     there = f"{len(recording.rows) * recording.dt:.2f}"
     if going:
         return replace(recording, cut=f"The recording is still going on: {there} s so far.")
-    # A block that is complete and yet wrong was not left behind by a writer that ended.
-    damaged = end + BLOCK.size <= size if spoilt is None else spoilt.at + spoilt.size <= size
+    # An incomplete last block means truncation, a complete but invalid one means damage.
+    damaged = end + BLOCK.size <= size if invalid is None else invalid.at + invalid.size <= size
     what = f"is damaged from byte {end:,} on" if damaged else "was cut off"
-    all_known = any(block.kind == LAST for block in promised)
-    due = max([due, *(block.rows for block in promised if block.kind == LAST)])
+    all_known = any(block.kind == LAST for block in listed)
+    due = max([due, *(block.rows for block in listed if block.kind == LAST)])
     if due > len(recording.rows):
         there += f" of {'' if all_known else 'at least '}{due * recording.dt:.2f}"
     return replace(recording, cut=f"The recording {what}: {there} s are readable.")
 
 
 class _Reader:
-    """Puts a recording together from blocks whose checksums are right; their content may be wrong.
+    """Assembles a recording from blocks with valid checksums, whose content is still untrusted.
 
-    No size is believed before it is compared with what it must be.
+    Sizes are checked before memory is allocated for them.
     """
 
     def __init__(self, rows: NDArray[Any]) -> None:
-        """`rows` has room for all that may come."""
+        """`rows` is a buffer large enough for all rows."""
         self._rows = rows
         self._filled = 0
         self._head: entries.Head | None = None
@@ -157,7 +157,7 @@ class _Reader:
 
     def take(self, block: Block, content: bytes) -> None:
         if self.ended or (block.kind == HEAD) != (self._head is None):
-            raise RecordingError(f"a block {block.kind.decode()} is where none belongs")
+            raise RecordingError(f"a block {block.kind.decode()} is out of place")
         if block.kind == HEAD:
             self._head = entries.header(content, entries.Head, VERSION)
         elif block.kind == PART:
@@ -221,7 +221,7 @@ class _Reader:
 
 
 def _table(content: bytes, at: int, dtype: np.dtype[Any], n: int) -> NDArray[Any]:
-    """A table (n,) from its columns, one after another from there on."""
+    """A table (n,) from its columns, stored one after another from byte `at` on."""
     table = np.zeros(n, dtype=dtype)
     for name in dtype.names or ():
         column = dtype[name]

@@ -1,16 +1,16 @@
-"""Runs without thread and clock: the same commands give the same joints, bit for bit."""
+"""Repeats a recording without thread and clock, and compares it bit for bit."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 import meshes
 from app.control.engine import Engine, Orders, Plant
-from app.control.messages import Command, LoopStats, Telemetry
+from app.control.messages import LoopStats, Telemetry
 from app.files import shown
 from app.recording.format import CHUNK, COMPARED, ROWS, Place, Recording, RecordingError
 from app.recording.rows import command as command_of
@@ -20,44 +20,9 @@ from app.scene.scene import Progress, Scene
 from app.settings import Options
 
 
-def run_headless(
-    options: Options,
-    commands: Iterable[Command | None],
-    ticks: int,
-    autopilot: bool = False,
-) -> list[Telemetry]:
-    """Tick a fresh scene and controller `ticks` times.
-
-    Args:
-        options: as of a session (host and port are not used).
-        commands: the command that is in the mailbox at each tick; None, and the end of the
-            commands, mean nothing new: the last one goes on (and a held one goes stale).
-        ticks: how many.
-        autopilot: let the scripted hand drive; commands are then ignored.
-
-    Returns:
-        One telemetry a tick, without timing.
-
-    Raises:
-        ValueError: unknown names or an unusable mesh.
-    """
-    scene = scenes.build(options, 1)
-    stats = LoopStats()
-    orders = Orders(scenes.plant(scene, options), Command(None, 0), autopilot=autopilot)
-    engine = Engine(orders)
-    incoming = iter(commands)
-    seen = []
-    for _ in range(ticks):
-        command = next(incoming, None)
-        if command is not None:
-            orders = Orders(orders.plant, command, autopilot=autopilot)
-        seen.append(engine.advance(orders, stats)[0])
-    return seen
-
-
 @dataclass(frozen=True)
 class Difference:
-    """Where a repetition first departs from its recording: row, tick, column of `ROWS`."""
+    """The first difference of a repetition from its recording: row, tick, column of `ROWS`."""
 
     row: int
     tick: int
@@ -78,12 +43,12 @@ def rerun(
     path: str | None = None,
     progress: Progress | None = None,
 ) -> Iterator[tuple[int, Telemetry, bool]]:
-    """Give a fresh engine the recorded orders, each for as many ticks as it counted.
+    """Run a new engine with the recorded orders, each for as many ticks as it was in force.
 
     Args:
-        mesh: where the mesh is now; None: where the recording says (all scenes of it).
-        path: likewise, the planned path.
-        progress: called with a few words before each step of building a scene.
+        mesh: present path of the mesh, for all scenes; None: the recorded one.
+        path: likewise, of the planned path.
+        progress: called with a short text before each step of building a scene.
 
     Yields:
         For each row of the recording the row of its orders, the telemetry, and whether it ticked.
@@ -97,7 +62,7 @@ def rerun(
     scene: Scene | None = None
     plant = None
     engine: Engine | None = None
-    # The first orders are those that the engine had seen already when the recording began.
+    # Row −1: the orders that were in force when the recording began.
     for row in range(-1, len(recording.rows)):
         due = 0 if row < 0 else int(recording.rows["order"][row])
         if due != order:
@@ -142,22 +107,22 @@ def build(
     progress: Progress | None = None,
     warm: bool = True,
 ) -> Scene:
-    """A scene of a recording, made anew and compared with what was recorded of it.
+    """Build a scene of a recording, and compare mesh and start with the recorded ones.
 
     Args:
-        mesh, path: where mesh and planned path are now; None: where the recording says.
+        mesh, path: present paths of mesh and planned path; None: the recorded ones.
         warm: as in `scene.build`.
 
     Raises:
-        RecordingError: the mesh is another one now, or ends up elsewhere.
-        ValueError: it is not usable, or unknown names.
+        RecordingError: the mesh, its placement or the start differs.
+        ValueError: an unusable mesh, or unknown names.
     """
     options = noted.options
     options = replace(options, mesh=mesh or options.mesh, path=path or options.path)
     try:
         scene = scenes.build(options, version, progress, warm)
     except meshes.UnitNeeded:
-        # Recorded when units were guessed: the checksum knows which it was.
+        # Older recordings have no unit, as it was guessed: the checksum identifies it.
         found = _in_some_unit(options, noted.checksum, version, progress, warm)
         if found is None:
             raise
@@ -179,7 +144,7 @@ def build(
 def _in_some_unit(
     options: Options, checksum: str, version: int, progress: Progress | None, warm: bool
 ) -> Scene | None:
-    """The scene of this mesh, in the unit that gives this checksum; None: none does."""
+    """The scene of this mesh in the unit that gives this checksum, if there is one."""
     for unit in ("mm", "m"):
         with contextlib.suppress(ValueError):
             scene = scenes.build(replace(options, unit=unit), version, progress, warm)
@@ -195,12 +160,11 @@ def first_difference(
     progress: Progress | None = None,
     repeated: Callable[[int], None] = lambda _rows: None,
 ) -> Difference | None:
-    """Re-run a recording and compare every column of `COMPARED` bit for bit.
-
-    Args and errors are those of `rerun`. None: there is no difference.
+    """Repeat a recording and compare every column of `COMPARED` bit for bit; None: all equal.
 
     Args:
-        repeated: called with the number of rows that are the same so far.
+        mesh, path, progress: as in `rerun`, which also says what is raised.
+        repeated: called with the number of equal rows so far.
     """
     table = np.zeros(CHUNK, dtype=ROWS)
     before = None
@@ -219,7 +183,7 @@ def first_difference(
 
 
 def compare(recorded: np.ndarray, repeated: np.ndarray) -> Difference | None:
-    """The first difference between two tables (n,) of `ROWS`, in the columns' order."""
+    """The first difference between two tables (n,) of `ROWS`, by row, then by column."""
     first: tuple[int, str] | None = None
     for name in COMPARED:
         ours, theirs = (
@@ -242,5 +206,4 @@ def compare(recorded: np.ndarray, repeated: np.ndarray) -> Difference | None:
 
 
 def _text(value: np.ndarray) -> str:
-    """All digits: a difference may be in the last bit."""
-    return str(np.asarray(value).tolist())
+    return str(np.asarray(value).tolist())  # all digits: the last bit may be what differs

@@ -1,4 +1,4 @@
-"""Rows of a recording's tables: a tick is written into one, a command is read from one."""
+"""Conversion of telemetry and commands to and from rows of a recording's tables."""
 
 from __future__ import annotations
 

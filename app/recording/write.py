@@ -1,10 +1,11 @@
-"""Writes a recording, tick by tick, and what it was made with."""
+"""Writes a recording tick by tick, with the versions of the packages."""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
 import importlib.metadata
+import itertools
 import json
 import os
 import platform
@@ -20,6 +21,7 @@ import vf
 from app.control.autopilot import Course
 from app.control.engine import Orders, Plant, State
 from app.control.messages import Telemetry
+from app.files import numbered
 from app.recording.format import (
     BLOCK,
     CHUNK,
@@ -43,19 +45,18 @@ from app.recording.format import (
 from app.recording.rows import fill
 from app.settings import Options
 
-TOGETHER = 64  # most plants in a part: those with a course are large
-NAMES = 1000  # how many names are tried for a file
+MAX_PART_PLANTS = 64  # a plant with a course is large
+NAMES = 1000  # number of file names that are tried
 
 
 class Recorder:
-    """Writes a recording. No thread, no clock: whoever runs an `Engine` calls `add`.
+    """Writes a recording, without thread or clock. Not thread-safe.
 
-    What `flush` has written is readable whatever happens next. Not thread-safe.
+    What `flush` has written stays readable even if the process is killed.
 
     Attributes:
-        path: of the file. It is not the one asked for if that was there: no file is written over.
-        rows: how many rows there are so far.
-        kept: how many of them are in the file.
+        path: of the file; another one than was requested if that existed.
+        kept: number of rows in the file.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -64,35 +65,35 @@ class Recorder:
         Raises:
             OSError: it cannot be made.
         """
-        descriptor, self.path = _made(Path(path))
+        descriptor, self.path = _create(Path(path))
         self._file = os.fdopen(descriptor, "wb", buffering=0)
         self._state: State | None = None
-        self._scene: int | None = None  # version of the newest place's, as `Plant.scene`
+        self._scene: int | None = None  # `Plant.scene` of the newest place
         self._plant: Plant | None = None
         self._last: Orders | None = None
         self._step: vf.Step | None = None
         self._counts = {"places": 0, "plants": 0, "orders": 0}
-        # What is not in the file yet.
+        # Not written yet:
         self._places: list[dict[str, Any]] = []
         self._plants: list[dict[str, Any]] = []
         self._orders: list[tuple[Any, ...]] = []
         self._rows = np.zeros(CHUNK, dtype=ROWS)
         self._filled = 0
         self.kept = 0
-        self._end = 0  # of what is written completely [byte]
+        self._end = 0  # of the last complete block [byte]
         self._crc = zlib.crc32(MAGIC)
 
     @property
     def rows(self) -> int:
-        """How many rows there are so far."""
+        """Number of rows so far."""
         return self.kept + self._filled
 
     def begin(self, seen: Orders, state: State) -> None:
-        """Start from an engine's state and the orders that it saw last.
+        """Write the engine's state and the orders that it saw last.
 
         Raises:
-            RecordingError: the arm has more joints than fit.
-            OSError: the disk is full or the like.
+            RecordingError: the arm has too many joints.
+            OSError: the file cannot be written.
         """
         self._state, self._step = state, state.step
         self._append(MAGIC)
@@ -115,11 +116,11 @@ class Recorder:
         self.flush()
 
     def add(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
-        """Append what `Engine.advance` made of these orders.
+        """Append the result of `Engine.advance` for these orders.
 
         Raises:
-            RecordingError: one of the limits of a recording is reached; `close` is still possible.
-            OSError: the disk is full or the like.
+            RecordingError: a limit of a recording is reached; `close` is still possible.
+            OSError: the file cannot be written.
         """
         if self.rows >= MAX_ROWS:
             raise RecordingError(f"a recording holds at most {MAX_ROWS:,} ticks")
@@ -128,23 +129,23 @@ class Recorder:
         fill(self._rows, self._filled, self._counts["orders"] - 1, telemetry, ticked, self._step)
         self._step = telemetry.step
         self._filled += 1
-        if self._filled == CHUNK or len(self._plants) == TOGETHER:
+        if self._filled == CHUNK or len(self._plants) == MAX_PART_PLANTS:
             self.flush()
 
     def flush(self) -> None:
-        """Put into the file what is not in it yet.
+        """Write the pending rows and orders as a part.
 
         Raises:
-            OSError: the disk is full or the like; the file ends where it did.
+            OSError: the file cannot be written; it is unchanged.
         """
         if not (self._filled or self._orders):
             return
         about = {"places": self._places, "plants": self._plants, "orders": len(self._orders)}
-        words = json.dumps(about).encode()
+        text = json.dumps(about).encode()
         content = b"".join(
             (
-                LENGTH.pack(len(words)),
-                words,
+                LENGTH.pack(len(text)),
+                text,
                 _columns(np.array(self._orders, dtype=ORDERS)),
                 _columns(self._rows[: self._filled]),
             )
@@ -154,11 +155,11 @@ class Recorder:
         self._places, self._plants, self._orders, self._filled = [], [], [], 0
 
     def close(self, note: str = "") -> None:
-        """Finish the file. `note`: why it ends here, if it was not told to.
+        """Finish the file. `note`: why the recording ends, if the user did not stop it.
 
         Raises:
             RecordingError: nothing was recorded.
-            OSError: the disk is full or the like; what was kept is readable all the same.
+            OSError: the file cannot be written; what it contains is still readable.
         """
         if self._state is None:
             raise RecordingError("nothing was recorded")
@@ -175,7 +176,7 @@ class Recorder:
             self._file.close()
 
     def discard(self) -> None:
-        """Leave nothing behind."""
+        """Delete the file."""
         self.path.unlink(missing_ok=True)
         self._file.close()
 
@@ -246,7 +247,7 @@ class Recorder:
         self._crc = crc
 
     def _append(self, content: bytes) -> None:
-        """All of it, or nothing."""
+        """Append all of the content; after an error the file is unchanged."""
         left = memoryview(content)
         try:
             while left:
@@ -260,7 +261,7 @@ class Recorder:
 
 
 def packages() -> dict[str, str]:
-    """Versions of what a tick's last bit can depend on."""
+    """Versions of the packages on which a tick's last bit can depend."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     for name in ("vf-sandbox", "numpy", "numba", "osqp", "pin"):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -269,7 +270,7 @@ def packages() -> dict[str, str]:
 
 
 def as_json(options: Options) -> dict[str, Any]:
-    """The options that are recorded; files by paths that hold wherever they are read."""
+    """The recorded options; paths of files are absolute."""
     values = {name: getattr(options, name) for name in RECORDED}
     if options.mesh not in meshes.catalogue():
         values["mesh"] = os.path.abspath(options.mesh)
@@ -278,13 +279,9 @@ def as_json(options: Options) -> dict[str, Any]:
     return values
 
 
-def _made(path: Path) -> tuple[int, Path]:
-    """A new file's descriptor and path, locked for as long as this process has it open.
-
-    If there is a file of this name, one with a number behind it is made.
-    """
-    for number in range(1, NAMES):
-        name = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+def _create(path: Path) -> tuple[int, Path]:
+    """Descriptor and path of a new file, locked until it is closed; numbered if the path exists."""
+    for name in itertools.islice(numbered(path), NAMES - 1):
         try:
             descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         except FileExistsError:
@@ -296,5 +293,5 @@ def _made(path: Path) -> tuple[int, Path]:
 
 
 def _columns(table: NDArray[Any]) -> bytes:
-    """A table's columns, one after another."""
+    """The columns of a table, one after another."""
     return b"".join(table[name].tobytes() for name in table.dtype.names or ())

@@ -1,7 +1,7 @@
-"""A set-up to come back to or to share: scene, settings, proxy and view, as a small JSON file.
+"""Scenarios: scene, settings, proxy and view in a small JSON file.
 
-The file's words are the command line's: ``"radius": "5mm"`` means what ``--radius 5mm`` does. A
-file of this format version is read back exactly as it was written.
+Values are written as on the command line: ``"radius": "5mm"`` is ``--radius 5mm``. Reading a file
+gives back exactly the scenario that was written.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from app.settings import Options
 FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
 SETTINGS = {name: told.kind for name, told in declared(Options).items() if told.shared}
-"""The options that belong to a scenario; they stand in its file beside what is in `Scenario`."""
+"""The options that belong to a scenario; its file has them at the same level as other keys."""
 
 
 @dataclass(frozen=True)
 class Scenario(Checked):
-    """Everything that makes a set-up.
+    """A scenario.
 
     Attributes:
         name: short, for a list.
-        about: the sentence that says what one sees.
+        about: one sentence that describes what the scenario shows.
         options: the settings; only those that belong to a scenario (`SETTINGS`) count.
-        proxy: none: it stays on the tool; one at time 0: it starts there; else a script that leads
-            it from one to the next, each from rest to rest, and ends at the last. A script whose
-            first time is later begins on the tool.
-        wxyz: orientation of the proxy in the mesh's frame, a unit quaternion; None: the tool's own
-            at its start.
-        camera: where to look from, one of `CAMERAS` or a place; None: as a new scene is seen.
-        paused: whether the loop waits for *Run*.
+        proxy: empty: the proxy stays on the tool; one waypoint at time 0: it starts there; else a
+            script from waypoint to waypoint, at rest in each. If the first time is later than 0,
+            the script starts on the tool.
+        wxyz: orientation of the proxy in the mesh's frame, a unit quaternion; None: the tool's at
+            its start.
+        camera: one of `CAMERAS` or a viewpoint; None: the default view of a scene.
+        paused: whether the loop starts paused.
 
     Raises:
         ScenarioError: a text too long or not of one line, waypoints out of order or too many or too
@@ -66,11 +66,11 @@ class Scenario(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # One value, one scenario: what is of the server and not of the scenario is left out.
+        # Equal scenarios compare equal: reset the options that do not belong to a scenario.
         object.__setattr__(self, "options", self.applied(Options()))
 
     def applied(self, options: Options) -> Options:
-        """These options, but what belongs to a scenario as this one has it."""
+        """`options` with the settings of this scenario."""
         return replace(options, **{key: getattr(self.options, key) for key in SETTINGS})
 
 
@@ -85,19 +85,19 @@ def loads(
     """A scenario from the JSON text of a file.
 
     Args:
-        folder: where the file is; the files it names must be there or below. None: it must not
+        folder: the file's folder; the files it names must be in it or below. None: it must not
             name any.
-        find: finds a file by its name alone, in place of a folder; None: there is none.
+        find: finds a file by its name, instead of `folder`.
 
     Raises:
-        OptionError: not JSON, too long, an unknown format version, key or value, a file that is
-            elsewhere; one line.
+        OptionError: not JSON, too long, an unknown format version, key or value, or a file outside
+            of `folder`; one line.
     """
     if len(text) > SIZE_LIMIT:
         raise ScenarioError(f"{len(text):,} bytes are more than a scenario has ({SIZE_LIMIT:,})")
     try:
         content = json.loads(
-            text, object_pairs_hook=_without_twins, parse_constant=_refuse_constant
+            text, object_pairs_hook=_without_duplicates, parse_constant=_refuse_constant
         )
     except ScenarioError:
         raise
@@ -127,11 +127,10 @@ def dumps(scenario: Scenario, folder: Path | None = None) -> str:
     """The JSON text of a file, which `loads` reads back exactly.
 
     Args:
-        folder: where the file is going to be; paths are written relative to it. None: the name
-            alone, for a file that is to lie beside the mesh.
+        folder: folder of the file, to which paths are written relative. None: file names alone.
 
     Raises:
-        ScenarioError: a file in it is neither in the folder nor below it.
+        ScenarioError: a file that it names is neither in the folder nor below it.
     """
     content: dict[str, Any] = {"format": FORMAT}
     for key, kind in _KEYS.items():
@@ -146,7 +145,7 @@ def read(path: Path) -> Scenario:
     """The scenario in a file.
 
     Raises:
-        ScenarioError: unreadable, or not what `loads` takes; one line with the file's name.
+        ScenarioError: unreadable or invalid; one line with the file's name.
     """
     try:
         with path.open("rb") as file:
@@ -159,10 +158,10 @@ def read(path: Path) -> Scenario:
 
 
 def write(scenario: Scenario, path: Path) -> None:
-    """Put a scenario into a file; paths in it are relative to the file's folder.
+    """Write a scenario to a file; paths in it are relative to the file's folder.
 
     Raises:
-        ScenarioError: a file in it is neither in that folder nor below it.
+        ScenarioError: a file that it names is neither in that folder nor below it.
         OSError: it cannot be written.
     """
     path.write_text(dumps(scenario, path.parent), encoding="utf-8")
@@ -172,14 +171,14 @@ _FILES = ("mesh", "path")
 
 
 def _is_file(name: str) -> bool:
-    """A mesh file has a suffix; a name of the catalogue has none, nor a folder before it."""
+    """Whether a name is a path: catalogue names have neither suffix nor folder."""
     return Path(name).suffix != "" or len(Path(name).parts) > 1
 
 
 def _placed(
     scenario: Scenario, folder: Path | None, find: Callable[[str], str | None] | None
 ) -> Scenario:
-    """The same, with the files it names found in its folder and no other, or by their names."""
+    """The scenario with the paths of its files resolved in `folder`, or by `find`."""
     found: dict[str, Any] = {}
     for key in _FILES:
         name = getattr(scenario.options, key)
@@ -207,7 +206,7 @@ def _placed(
 def _beside(key: str, name: str, folder: Path) -> str:
     """The path of a file in the folder or below it.
 
-    Whoever opens a scenario of somebody else's need not read it first: it leads to no other file.
+    A scenario from an untrusted source must not open any other file.
     """
     path = Path(name)
     try:
@@ -237,13 +236,12 @@ def _relative(key: str, path: Path, folder: Path) -> str:
     return name
 
 
-def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Of the readers of JSON here only this hook tells a key that is there twice."""
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) != len(pairs):
         keys = [key for key, _ in pairs]
-        twin = next(key for key in keys if keys.count(key) > 1)
-        raise ScenarioError(f"the key {shown(twin)} is there twice")
+        duplicate = next(key for key in keys if keys.count(key) > 1)
+        raise ScenarioError(f"the key {shown(duplicate)} is there twice")
     return content
 
 

@@ -1,4 +1,4 @@
-"""The scenarios that come with the sandbox, by name, each with the sentence that it shows."""
+"""The built-in scenarios, by name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def find(name_or_path: str) -> Scenario:
     """A preset by its name, or the scenario in a file.
 
     Raises:
-        ScenarioError: neither; one line that lists the presets, or says what is wrong in the file.
+        ScenarioError: an unknown name (the message lists the presets) or an invalid file; one line.
     """
     if name_or_path in PRESETS:
         return PRESETS[name_or_path]
@@ -57,7 +57,7 @@ _PLATE = Scenario(
     "thin-plate-both-sides",
     "A plate of 0.5 mm, far thinner than the motion sphere: the tool is held on one side of it, "
     "goes over its edge, and is held on the other side.",
-    # Standing, and seen along its edge, so that both sides are in sight.
+    # Upright and seen along its edge, so that both sides are visible.
     Options(
         mesh="thin-plate", robot="point", rotate=(0.0, math.radians(90.0), math.radians(-41.6))
     ),

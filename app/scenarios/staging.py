@@ -1,4 +1,4 @@
-"""A scenario brought on: its proxy as a script in the arm's frame, its settings in a session."""
+"""Applies a scenario to a session, and describes a session as a scenario."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from app.session import Session
 
 
 def course(scenario: Scenario, scene: Scene) -> Course | None:
-    """The scenario's proxy on its mesh in this scene; None: it stays on the tool.
+    """The scenario's proxy in the arm's base frame; None: it stays on the tool.
 
-    One that is to come to its first waypoint later than at once begins on the tool.
+    If the first waypoint's time is later than 0, the course starts on the tool.
     """
     if not scenario.proxy:
         return None
@@ -35,7 +35,7 @@ def course(scenario: Scenario, scene: Scene) -> Course | None:
 
 
 def begin(scenario: Scenario, session: Session) -> None:
-    """Put the tool to the start, and let the scenario's proxy begin. The scene is the scenario's.
+    """Reset the tool and start the scenario's proxy, in a session with the scenario's scene.
 
     Raises:
         session.Refused: the proxy is too far from the arm's base.
@@ -59,7 +59,7 @@ def stage(
     progress: Progress | None = None,
     stop: worker.Stop | None = None,
 ) -> None:
-    """Bring a running session into a scenario: scene and settings, then `begin`.
+    """Apply a scenario to a running session: scene and settings, then `begin`.
 
     Args:
         progress, stop: as in `Session.change`.
@@ -73,7 +73,7 @@ def stage(
 
 
 def present(session: Session, name: str, about: str) -> Scenario:
-    """The set-up that a session is in: a script that drives the proxy, or where the proxy is."""
+    """The present state of a session as a scenario, with its script or the proxy's pose."""
     scene, options, telemetry = session.scene, session.options, session.latest()
     R_mesh_base = scene.T_base_mesh[:3, :3].T
     way: Course | None = None

@@ -1,4 +1,4 @@
-"""The values of a scenario's file that are no options: how each is checked, read and written."""
+"""Kinds of the values in a scenario's file that are not options: checking, reading, writing."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from app.kinds import Kind, Number, OneOf, Place
 from app.options import Checked, option
 from app.words import OptionError
 
-LONGEST = 600.0  # [s] a script goes on
-FARTHEST_EYE = 20.0  # [m] of a camera from the mesh's origin
-NEAREST_EYE = 1e-4  # [m] of a camera from what it looks at
+LONGEST = 600.0  # duration of a script [s]
+FARTHEST_EYE = 20.0  # from a camera to the mesh's origin [m]
+NEAREST_EYE = 1e-4  # from a camera to the point it looks at [m]
 CAMERAS = ("arm", "anatomy", "site", "tool", "follow", "surgeon")
 MOST_WAYPOINTS = 200
 
@@ -25,12 +25,12 @@ _NUMBER = Number(-math.inf, math.inf)
 
 
 class ScenarioError(OptionError):
-    """A scenario is not usable. The message is one line that names the value and what is valid."""
+    """An invalid scenario. The message is one line with the value and what is valid."""
 
 
 @dataclass(frozen=True)
 class Waypoint(Checked):
-    """Where the proxy rests for a moment: time since the start [s], place (3,) [m], mesh frame.
+    """A position of the proxy at rest: time since the start [s], place (3,) [m], mesh frame.
 
     Raises:
         OptionError: a time or a place out of range.
@@ -42,10 +42,10 @@ class Waypoint(Checked):
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Eye and what it looks at, (3,) each [m], mesh frame; up is the arm's base's.
+    """A camera's eye and the point it looks at, (3,) [m], mesh frame; up is +z of the arm's base.
 
     Raises:
-        ScenarioError: a place too far from the mesh, or both in one place.
+        ScenarioError: too far from the mesh, or eye and point too near to each other.
     """
 
     eye: Vector
@@ -67,7 +67,7 @@ class Viewpoint:
 
 
 class Waypoints(Kind):
-    """Waypoints in the order of their times, not too many."""
+    """At most `MOST_WAYPOINTS` waypoints in order of time."""
 
     wanted, json = 'a list of {"time": seconds, "at": "x,y,z"}', (list,)
 
@@ -118,7 +118,7 @@ class Quaternion(Kind):
 
 
 class Camera(OneOf):
-    """One of `CAMERAS`, or a place to look from, which has limits of its own."""
+    """One of `CAMERAS`, or a `Viewpoint`, which checks itself."""
 
     json = (str, dict)
 
@@ -140,7 +140,7 @@ class Camera(OneOf):
 
 
 def taken(key: str, kind: Kind, value: Any) -> Any:
-    """A value read from JSON; what is wrong with it is said with its key."""
+    """A value read from JSON; errors name its key."""
     try:
         return kind.from_json(value)
     except (OptionError, OverflowError) as error:
@@ -148,6 +148,6 @@ def taken(key: str, kind: Kind, value: Any) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value in an error's line: short, and of one line whatever it is."""
+    """A value for an error message: one short line."""
     text = json.dumps(value, ensure_ascii=True)
     return text if len(text) <= 60 else f"{text[:57]}…"

@@ -1,1 +1,1 @@
-"""What the tool is placed among: the arm and the mesh of a session, and how they are built."""
+"""The scene of a session, arm and mesh, and how it is built."""

@@ -1,5 +1,4 @@
-"""Mesh files that can be chosen by name: those that browsers sent, kept until somebody deletes
-them, and those that the session was given by path."""
+"""Mesh files that can be selected by name: uploaded files, and files that were given by path."""
 
 from __future__ import annotations
 
@@ -22,20 +21,20 @@ from app.files import numbered, size
 from app.options import plain
 from app.settings import MESH, Options
 
-MOST = 100  # files that are kept
-ROOM = 4e9  # for all of them together [byte]: who may send files must not fill the disk
-NOTE = "loaded.json"  # beside each file: how it was loaded
-_COMING = ".coming-"
-_GIVEN_UP = 86_400.0  # a transfer that is left behind for so long is removed [s]
+MOST = 100  # number of files
+ROOM = 4e9  # total size, so that uploads cannot fill the disk [byte]
+NOTE = "loaded.json"  # beside each file: the options it was loaded with
+_INCOMING = ".coming-"  # prefix of the folder of an upload in progress
+_ABANDONED_AFTER = 86_400.0  # an older upload folder is removed [s]
 
 
 class LibraryError(ValueError):
-    """A file that is not kept, or not deleted; the message says why."""
+    """A file cannot be deleted; the message says why."""
 
 
 @dataclass(frozen=True)
 class Kept:
-    """A file that is kept: its name in the list, where it is, and its size [byte]."""
+    """An uploaded file: name, path, and size [byte]."""
 
     name: str
     path: Path
@@ -43,29 +42,29 @@ class Kept:
 
 
 def folder() -> Path:
-    """Where files that browsers sent are kept."""
+    """The folder of uploaded files."""
     return platformdirs.user_data_path("vf-sandbox") / "meshes"
 
 
 class Library:
-    """The list of files, shared by all sessions of a user. Any thread may call.
+    """The list of files, shared by all sessions of a user. Thread-safe.
 
-    Each file is in a folder of its own name, together with a note on how it was loaded last, so
-    that it is there again after a restart, and recordings and scenarios find it.
+    Each file is in a folder of its own name, together with the options it was last loaded with, so
+    that sessions, recordings and scenarios find it after a restart.
     """
 
     def __init__(self, place: Path | None = None) -> None:
         """`place`: the folder; None: the user's."""
         self._place = folder() if place is None else place
         self._lock = threading.Lock()
-        self._used: dict[str, dict[str, Any]] = {}  # by name: how this session loaded it
+        self._used: dict[str, dict[str, Any]] = {}  # by name: the options in this session
         with contextlib.suppress(OSError):
-            for left in self._place.glob(f"{_COMING}*"):
-                if time.time() - left.stat().st_mtime > _GIVEN_UP:
+            for left in self._place.glob(f"{_INCOMING}*"):
+                if time.time() - left.stat().st_mtime > _ABANDONED_AFTER:
                     shutil.rmtree(left, ignore_errors=True)
 
     def kept(self) -> list[Kept]:
-        """The files that are kept, by name."""
+        """The uploaded files, sorted by name."""
         found = []
         with contextlib.suppress(OSError):
             for place in self._place.iterdir():
@@ -76,14 +75,11 @@ class Library:
         return sorted(found, key=lambda file: file.name.casefold())
 
     def names(self) -> tuple[str, ...]:
-        """Every file that can be chosen."""
+        """Names of all files that can be selected."""
         return tuple(dict.fromkeys([file.name for file in self.kept()] + [*self._used]))
 
     def settings(self, name: str) -> dict[str, Any] | None:
-        """The options (`settings.MESH`) that load the file of this name as it was last.
-
-        None: there is no such file here.
-        """
+        """The options (`settings.MESH`) that this file was last loaded with; None: unknown name."""
         if name in self._used:
             return self._used[name]
         path = self._place / name / name
@@ -94,12 +90,12 @@ class Library:
             note = json.loads((path.parent / NOTE).read_bytes())
             if isinstance(note, dict):
                 known = {k: plain(v) for k, v in note.items() if k in MESH and k != "mesh"}
-                Options(**known)  # which refuses what is unusable
+                Options(**known)  # raises if one is invalid
                 found |= known
         return found
 
     def find(self, name: str) -> str | None:
-        """Where the mesh or planned path of this name is; None: it is not known here."""
+        """The path of the mesh or planned path of this name; None: unknown name."""
         found = self.settings(name)
         if found is not None:
             return str(found["mesh"])
@@ -109,7 +105,7 @@ class Library:
         return None
 
     def note(self, options: Options) -> None:
-        """A session has loaded the file that these options name, as they say."""
+        """Store the options with which a session has loaded a file."""
         how = {name: getattr(options, name) for name in MESH}
         name = Path(options.mesh).name
         if options.mesh in meshes.catalogue() or self._used.get(name) == how:
@@ -120,10 +116,10 @@ class Library:
                 about = {key: value for key, value in how.items() if key != "mesh"}
                 new = self._place / name / f".{NOTE}"
                 new.write_text(json.dumps(about))
-                new.replace(self._place / name / NOTE)  # the old note or the new one, never half
+                new.replace(self._place / name / NOTE)  # atomic
 
     def refusal(self, length: int) -> str | None:
-        """Why a file of so many bytes is not taken now; None: it is."""
+        """Why a file of `length` bytes is refused; None: it is accepted."""
         there = self.kept()
         if len(there) >= MOST:
             return f"{MOST} meshes are kept already: delete some first (tab Mesh)"
@@ -133,17 +129,17 @@ class Library:
         return None
 
     def coming(self) -> Path:
-        """A new folder for a file that is on its way; `add` takes it over, or remove it."""
+        """A new folder for an upload; the caller passes its file to `add`, or removes it."""
         self._place.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=_COMING, dir=self._place))
+        return Path(tempfile.mkdtemp(prefix=_INCOMING, dir=self._place))
 
     def add(self, path: Path) -> Path:
-        """Take over a file from the folder that `coming` made; returns where it is kept.
+        """Move a file from the folder that `coming` made into the library; returns its path.
 
-        It keeps its name, with a number if another file has it. The same file is kept once.
+        A number is appended to a name that is taken. A file with equal content is not added again.
 
         Raises:
-            OSError: it cannot be kept.
+            OSError: it cannot be moved.
         """
         with self._lock:
             for target in numbered(path):
@@ -151,7 +147,7 @@ class Library:
                 there = self._place / name / name
                 used = self._used.get(name)
                 if name in meshes.catalogue() or (used and used["mesh"] != str(there)):
-                    continue  # the list has another of this name
+                    continue  # another mesh has this name
                 if there.is_file():
                     if filecmp.cmp(path, there, shallow=False):
                         shutil.rmtree(path.parent, ignore_errors=True)
@@ -162,19 +158,19 @@ class Library:
                     os.rename(path.parent, there.parent)
                 except OSError:
                     if there.parent.exists():
-                        continue  # another session was quicker
+                        continue  # another session has just taken the name
                     raise
                 return there
         raise AssertionError("numbers do not end")
 
     def delete(self, name: str, present: str) -> None:
-        """Delete the file of this name that is kept.
+        """Delete an uploaded file.
 
         Args:
-            present: the mesh that is on the page, which is not deleted.
+            present: the mesh in use, which is not deleted.
 
         Raises:
-            LibraryError: there is none, or it is on the page.
+            LibraryError: an unknown name, or the mesh in use.
             OSError: it cannot be deleted.
         """
         file = next((file for file in self.kept() if file.name == name), None)

@@ -1,4 +1,4 @@
-"""How large a mesh file is, and whether it says its unit: what a person is asked about."""
+"""Size and unit of a mesh file, for the question about its unit."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from meshes.units import UNITS, UnitNeeded, WrongSize, diagonal, sizes
 
 
 def measure(path: str, progress: Callable[[str], None]) -> tuple[float, str | None]:
-    """The diagonal in the file's unit, and that unit if the file or its format says it.
+    """The diagonal in the file's unit, and the unit if the file or its format defines it.
 
     Raises:
-        MeshError: the file cannot be read, or no unit makes a mesh of it that can be used.
+        MeshError: the file cannot be read, or its size is not usable in any unit.
     """
     try:
         with caught_warnings() as caught:

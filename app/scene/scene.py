@@ -1,4 +1,4 @@
-"""What stands in the room: an arm and a mesh placed in front of it, ready to be used."""
+"""The scene: an arm and a mesh placed in its workspace."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ DEFAULT_WIDTH = 1e-3  # of a corridor, as in the paper's experiments [m]
 
 @dataclass(frozen=True)
 class Scene:
-    """The anatomy and the arm, as the view needs them; never changed once made.
+    """Anatomy and arm; immutable.
 
     Attributes:
-        version: grows with every change of mesh or robot; `Telemetry.scene` refers to it.
+        version: increases with every change of mesh or robot; `Telemetry.scene` refers to it.
         mesh_name: catalogue name, or the file's name.
-        surface: the full mesh the control works on, arm base frame.
+        surface: the full mesh that the controller uses, arm base frame.
         T_base_mesh: (4, 4) pose of the mesh's own frame in the arm's base frame.
         planned_path: (k, 3) the planned cut on this mesh, arm base frame [m]; None: there is none.
-        vertices_shown, faces_shown: what to draw: the mesh, or a decimated copy of it.
-        decimated: whether what is drawn is a decimated copy.
-        fronts_only: whether nobody outside ever sees the back of what is drawn.
+        vertices_shown, faces_shown: the mesh that is drawn, which may be decimated.
+        decimated: whether it is.
+        fronts_only: whether only front faces of it are visible from outside.
         robot: name of the arm.
         arm: an arm for the view's thread alone (the controller has its own).
-        notes: what the user should know about this mesh, one sentence each.
-        start: (n,) joints the tool starts from and is reset to, its tip in free space.
+        notes: notes on this mesh for the user, one sentence each.
+        start: (n,) start and reset joints, with the tip in free space.
         T_base_start: the tip at `start`.
         autopilot: the scripted tour over this mesh.
         options: the settings it was built with.
@@ -74,13 +74,13 @@ class Scene:
 def build(
     options: Options, version: int, progress: Progress | None = None, warm: bool = True
 ) -> Scene:
-    """Load arm and mesh, place the mesh under the tool, index it, find a free start.
+    """Load arm and mesh, place the mesh under the tool, build its tree, find a free start.
 
-    Takes up to some seconds for large meshes; touches nothing that runs.
+    Takes up to some seconds for large meshes.
 
     Args:
-        progress: called with a few words before each step.
-        warm: whether to make the kernels of a tick ready too.
+        progress: called with a short text before each step.
+        warm: whether to compile the kernels of a tick too.
 
     Raises:
         ValueError: unknown robot, unusable mesh (`meshes.MeshError`) or no free spot for the
@@ -106,7 +106,7 @@ def build(
 
     path = _planned_path(options, T_base_mesh)
     if path is not None:
-        corridor(surface, path, options.corridor or DEFAULT_WIDTH)  # refused now rather than later
+        corridor(surface, path, options.corridor or DEFAULT_WIDTH)  # raises if it is invalid
     elif options.corridor is not None:
         notes.append("No path is planned on this mesh: there is no corridor.")
 
@@ -144,11 +144,11 @@ def build(
 def anatomy(
     options: Options, T_base_tip: pin.SE3, progress: Progress
 ) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str]]:
-    """The mesh as these options want it: loaded, damaged, repaired, placed once, in that order.
+    """Load, damage, repair and place the mesh as these options say.
 
     Returns:
-        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), and what
-        the user should know, a sentence each.
+        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), and
+        notes for the user, one sentence each.
 
     Raises:
         ValueError: unusable mesh or placement, with the reason.
@@ -200,7 +200,7 @@ def corridor(surface: vf.Surface, path: FloatArray, width: float) -> vf.Corridor
 
 
 def plant(scene: Scene, options: Options) -> Plant:
-    """A controller for this scene with these settings, ready to tick (takes milliseconds)."""
+    """The plant of this scene with these settings; takes milliseconds."""
     arm = scene.arm.copy()
     fixtures: list[vf.Fixture] = [
         vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
@@ -215,7 +215,7 @@ def plant(scene: Scene, options: Options) -> Plant:
         tip_speed=options.tip_speed,
     )
     controller = vf.Controller(arm, fixtures, settings)
-    # The solver's workspace is set up by the first tick: not one of the loop's.
+    # The first tick sets up the solver's workspace.
     controller.step(scene.start, scene.T_base_start)
     return Plant(
         arm=arm,
@@ -234,7 +234,7 @@ def plant(scene: Scene, options: Options) -> Plant:
 
 @cache
 def warm_up() -> None:
-    """Have every kernel of a tick compiled, or loaded from disk; once in a process."""
+    """Compile the kernels of a tick, or load them from disk; once per process."""
     vf.Controller(robots.load("point"), []).warm_up()
     meeting.warm_up()
 
@@ -245,12 +245,12 @@ def clearance(options: Options) -> float:
 
 
 def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:
-    """Joints (n,) whose tip is outside the anatomy and clear of it: the neutral ones if they are.
+    """Joints (n,) with the tip outside the anatomy and farther than `clearance` [m] from it.
 
-    Otherwise ever larger displacements upwards and sideways are tried.
+    The neutral ones if possible; otherwise increasing displacements of the tip are tried.
 
     Raises:
-        ValueError: there is no such spot within the arm's reach.
+        ValueError: no such position within the arm's reach was found.
     """
     neutral = arm.tip(arm.neutral)
     q = np.array(arm.neutral)
@@ -264,7 +264,7 @@ def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:
             q = arm.inverse(pose, start=arm.neutral)
         except robots.Unreachable:
             continue
-        # An arm may meet the pose only nearly, or ignore its rotation: ask where the tip really is.
+        # Inverse kinematics may reach the pose only approximately: check the actual tip.
         if is_free(surface, arm.tip(q).translation, clearance):
             return np.array(q)
     raise ValueError(
@@ -283,7 +283,7 @@ def _displacements(size: float) -> Iterator[FloatArray]:
 
 
 class caught_warnings:
-    """Collects warnings. Python's own collector is not thread-safe, so one thread at a time."""
+    """Collects warnings, by one thread at a time: `warnings.catch_warnings` is not thread-safe."""
 
     _lock = threading.Lock()
 

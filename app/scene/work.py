@@ -1,4 +1,4 @@
-"""One long piece of work at a time: a mesh on its way, a file being measured, a replay opened."""
+"""Serialises long operations of a session: loading or measuring a mesh, opening a replay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.scene.worker import Stop
 
 
 class Work:
-    """The work under way. Whoever begins another is refused; anybody may stop it or ask for it."""
+    """At most one operation at a time; a second one is refused. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -19,16 +19,22 @@ class Work:
 
     @property
     def going(self) -> bool:
-        """Whether there is one."""
+        """Whether an operation is in progress."""
         return self._lock.locked()
 
     @contextlib.contextmanager
-    def begin(self) -> Iterator[Stop]:
-        """Do one for as long as the context lasts; gives what `stop` calls.
+    def begin(self, within: Stop | None = None) -> Iterator[Stop]:
+        """An operation, as long as the context lasts; yields the `Stop` that cancels it.
+
+        Args:
+            within: the `Stop` of the operation that this one is part of; None: a new operation.
 
         Raises:
-            Refused: another one is under way.
+            Refused: another one is in progress.
         """
+        if within is not None:
+            yield within
+            return
         if not self._lock.acquire(blocking=False):
             raise Refused("another change is under way: wait until it is done")
         try:
@@ -38,5 +44,5 @@ class Work:
             self._lock.release()
 
     def stop(self) -> None:
-        """Give up the work under way, if there is one; nothing is changed then."""
+        """Cancel the operation in progress, if there is one; the session stays unchanged."""
         self._stop()

@@ -1,16 +1,15 @@
-"""Scenes built, and files read, in a process of their own that cannot hold up or end this one.
+"""Builds scenes and reads mesh files in a separate process.
 
-Readers, Boolean operations and decimation keep Python's interpreter to themselves for as long as
-they work, up to a second for a million triangles; in this process that would be as long a pause of
-the tool. The finished scene comes back through a pipe: its arrays are read straight into place,
-which lets other threads run all the while.
+Mesh readers, Boolean operations and decimation hold the interpreter lock, for up to a second with a
+million triangles, which would stop the control thread. The result is received through a pipe, with
+its arrays read in place and without the lock.
 
-A small file can ask for any amount of work. So the process has an allowance of processor time and
-of memory that its file's size justifies, is the first that the system ends when memory runs out,
-and can be stopped.
+A small file can require any amount of work. So processor time and memory of the process are limited
+according to the size of its file, the system kills it first when memory runs out, and it can be
+stopped.
 
 Run as a module, this file is that process: it reads a request from standard input and answers on
-standard output with frames, each a pickle and the arrays that belong to it.
+standard output with frames, each a pickle and its arrays.
 """
 
 from __future__ import annotations
@@ -40,45 +39,46 @@ from app.settings import Options
 from meshes.builtin import shapes
 from robots import Arm
 
-LIGHT = 500_000  # [byte] of a file that is read and indexed in milliseconds
-_LIGHT_KINDS = (".stl", ".ply", ".off")  # that cannot be larger than they look
-_PIPE = 1 << 20  # [byte]
-_LENGTH = 8  # [byte] of a number in the stream
-_PATIENCE = 10.0  # of the processor's time: for a busy machine, and for what waits for ever
+LIGHT = 500_000  # largest file that is read and indexed in milliseconds [byte]
+_LIGHT_KINDS = (".stl", ".ply", ".off")  # uncompressed formats without references
+_STOPPED = "stopped: nothing is changed"
+_PIPE = 1 << 20  # size of the pipe's buffer [byte]
+_LENGTH = 8  # of a number in the stream [byte]
+_PATIENCE = 10.0  # limit of elapsed time, in multiples of the limit of processor time
 
 
 class Ended(ValueError):
-    """The process ended without an answer; the message says how."""
+    """The process ended without a result; the message says why."""
 
 
 class Stopped(ValueError):
-    """The process was stopped by the one it worked for."""
+    """The process was stopped by `Stop`."""
 
 
 @dataclass(frozen=True)
 class Allowance:
-    """What a process may use: ``seconds`` of processor time, ``memory`` [byte] for its work."""
+    """Limits of a process: ``seconds`` of processor time, ``memory`` [byte]."""
 
     seconds: float
     memory: float
 
 
 def allowance(mesh: str) -> Allowance:
-    """Enough for any mesh file of its size, or for any mesh of the catalogue, several times over.
+    """Several times the need of any mesh file of this size, or of any mesh of the catalogue.
 
-    Never more memory than three quarters of what the machine has to spare.
+    The memory is at most three quarters of the machine's available memory.
     """
     known = mesh in meshes.catalogue()
     try:
         size = 0 if known else Path(mesh).stat().st_size
     except (OSError, ValueError):
-        size = 0  # to be refused with the reason
+        size = 0  # reading the file raises the error
     seconds = 300.0 if known else 60.0 + 2e-6 * size
     return Allowance(seconds, min(3e9 + 20.0 * size, 0.75 * _spare()))
 
 
 class Stop:
-    """Ends a process, now or as soon as it starts. Any thread may call it, any number of times."""
+    """Kills a process, now or as soon as it starts. Thread-safe; may be called repeatedly."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -92,14 +92,14 @@ class Stop:
                 self._process.kill()
 
     def watch(self, process: subprocess.Popen[bytes]) -> None:
-        """The process that is to end, which nobody has waited for yet."""
+        """Set the process to kill; call `forget` before it is waited for."""
         with self._lock:
             self._process = process
             if self.asked:
                 process.kill()
 
     def forget(self) -> None:
-        """Before the process is waited for: its number may soon be another's."""
+        """Clear the process: once it has been waited for, its id may be reused."""
         with self._lock:
             self._process = None
 
@@ -111,35 +111,38 @@ def build(
     progress: Progress | None = None,
     stop: Stop | None = None,
 ) -> Scene:
-    """`scene.build` without a pause for any other thread; light meshes are made right here.
+    """`scene.build` in a separate process, or in this one for a light mesh.
 
     Args:
         arm: the scene's arm, for the view's thread; of the name in `options`.
-        progress: called with a few words before each step.
-        stop: stops it.
+        progress: called with a short text before each step.
+        stop: stops the work.
 
     Raises:
         ValueError: what `scene.build` raises, `Ended` and `Stopped`.
     """
     work = functools.partial(scenes.build, options, version, warm=False)
-    return aside(work, options.mesh, arm, progress, stop)
+    return build_scene(work, options.mesh, arm, progress, stop)
 
 
-def aside(
+def build_scene(
     work: Callable[..., Scene],
     mesh: str,
     arm: Arm,
     progress: Progress | None = None,
     stop: Stop | None = None,
 ) -> Scene:
-    """The scene that ``work(progress=…)`` builds around a mesh, by `run`, or here if it is light.
+    """The scene that ``work(progress=…)`` builds, by `run`, or in this process for a light mesh.
 
     Raises:
         ValueError: what the work raises, `Ended` and `Stopped`.
     """
-    if light(mesh):
-        return work(progress=progress)
-    scene: Scene = run(work, allowance(mesh), progress, stop, arm)
+    if not light(mesh):
+        scene: Scene = run(work, allowance(mesh), progress, stop, arm)
+        return scene
+    scene = work(progress=progress)
+    if stop is not None and stop.asked:
+        raise Stopped(_STOPPED)
     return scene
 
 
@@ -150,23 +153,23 @@ def run(
     stop: Stop | None = None,
     arm: Arm | None = None,
 ) -> Any:
-    """What ``work(progress=…)`` returns, done in a process of its own.
+    """The result of ``work(progress=…)``, computed in a separate process.
 
     Args:
         work: a function of a module, or a `functools.partial` of one.
-        progress: called with a few words before each step.
-        stop: stops it.
-        arm: takes the place of every arm in what comes back.
+        progress: called with a short text before each step.
+        stop: stops the work.
+        arm: replaces every arm in the result.
 
     Raises:
-        Ended: it used more than it was allowed, or died.
+        Ended: a limit was exceeded, or the process died.
         Stopped: `stop` was called.
-        Exception: what the work raised, as a ValueError if it cannot be sent.
+        Exception: what the work raised, as a ValueError if it cannot be pickled.
     """
     say = progress or (lambda _text: None)
     stop = stop or Stop()
     say("starting a process for the mesh")
-    # Not in the terminal's process group: an interrupt is for the session, which ends this process.
+    # Outside the terminal's process group: Ctrl-C goes to the session, which ends this process.
     process = subprocess.Popen(
         [sys.executable, "-m", "app.scene.worker"],
         stdin=subprocess.PIPE,
@@ -200,7 +203,7 @@ def run(
         late.forget()
         code = process.wait()
         if stop.asked:
-            raise Stopped("stopped: nothing is changed") from None
+            raise Stopped(_STOPPED) from None
         raise Ended(_reason(code, allowed, late.asked)) from None
     finally:
         timer.cancel()
@@ -212,7 +215,7 @@ def run(
 
 
 def _reason(code: int, allowed: Allowance, late: bool) -> str:
-    """Why the process ended without an answer."""
+    """Why the process ended without a result."""
     if late:
         return (
             f"the work on the mesh was not done after {_PATIENCE * allowed.seconds:.0f} s: "
@@ -230,7 +233,7 @@ def _reason(code: int, allowed: Allowance, late: bool) -> str:
 
 
 def light(mesh: str) -> bool:
-    """Whether a mesh is made or read in a few milliseconds, less than a process takes to start."""
+    """Whether a mesh is made or read faster than a process starts, in a few milliseconds."""
     entry = meshes.catalogue().get(mesh)
     if entry is not None:
         return entry.make.__module__ == shapes.__name__
@@ -238,11 +241,11 @@ def light(mesh: str) -> bool:
     try:
         return path.stat().st_size <= LIGHT and path.suffix.lower() in _LIGHT_KINDS
     except (OSError, ValueError):
-        return True  # to be refused with the reason
+        return True  # reading the file raises the error
 
 
 class _Pickler(pickle.Pickler):
-    """Leaves arms out: they are bound to this process, and the other side has its own."""
+    """Omits arms, which cannot be pickled; the receiver inserts its own."""
 
     def persistent_id(self, obj: Any) -> str | None:
         return "arm" if isinstance(obj, Arm) else None
@@ -258,7 +261,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _send(stream: IO[bytes], kind: str, content: Any) -> None:
-    """One frame: length of the pickle, number and lengths of the arrays; pickle; arrays."""
+    """Send a frame: length of the pickle, number and lengths of the arrays; pickle; arrays."""
     arrays: list[pickle.PickleBuffer] = []
     data = BytesIO()
     _Pickler(data, protocol=5, buffer_callback=arrays.append).dump((kind, content))
@@ -272,7 +275,11 @@ def _send(stream: IO[bytes], kind: str, content: Any) -> None:
 
 
 def _receive(stream: IO[bytes], arm: Arm | None) -> tuple[str, Any]:
-    """The next frame's content, arrays read-only. EOFError where there is none."""
+    """The next frame's content, with read-only arrays.
+
+    Raises:
+        EOFError: the stream ended.
+    """
 
     def number() -> int:
         return int.from_bytes(_exactly(stream, _LENGTH), "little")
@@ -286,7 +293,7 @@ def _receive(stream: IO[bytes], arm: Arm | None) -> tuple[str, Any]:
 
 
 def _exactly(stream: IO[bytes], size: int) -> memoryview:
-    # numpy asks for large pages, which are as quick to fill as to give back.
+    # numpy allocates with huge pages, which are faster to fill and to free.
     buffer = np.empty(size, dtype=np.uint8).data
     if stream.readinto(buffer) != size:  # type: ignore[attr-defined]
         raise EOFError
@@ -298,7 +305,7 @@ def _ending(code: int) -> str:
 
 
 def _spare() -> float:
-    """Memory [byte] that the machine can give without pushing anything out; inf: not known."""
+    """Available memory of the machine, or of its container [byte]; inf: unknown."""
     spare = np.inf
     with contextlib.suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
@@ -312,32 +319,32 @@ def _spare() -> float:
 
 
 def _limit(allowed: Allowance) -> None:
-    """Hold this process to its allowance, as far as its system knows how to."""
+    """Apply the limits to this process, as far as the system supports them."""
     seconds = int(allowed.seconds) + 1 + int(sum(os.times()[:2]))
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     with contextlib.suppress(OSError, ValueError):
-        # Libraries have long reserved more address space than they ever use.
+        # Libraries have reserved address space that they do not use: add what is mapped already.
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         if np.isfinite(allowed.memory):
             limit = pages * resource.getpagesize() + int(allowed.memory)
             resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
-    # No picture of the memory on the disk when a limit is met.
+    # No core dump when a limit is exceeded.
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _main() -> None:
-    os.nice(max(-os.nice(0), 0))  # what the session has of priority is for the session
-    # What libraries print must not get between the frames.
+    os.nice(max(-os.nice(0), 0))  # drop the raised priority of the session
+    # Output of libraries goes to stderr, not between the frames.
     stream = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=_PIPE)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     try:
         work, allowed = pickle.load(sys.stdin.buffer)
     except (EOFError, pickle.UnpicklingError):
-        os._exit(1)  # ended before the work was given
+        os._exit(1)  # the parent ended before it sent the work
     _limit(allowed)
     try:
         try:
@@ -354,13 +361,14 @@ def _main() -> None:
         else:
             _send(stream, "done", result)
     except BrokenPipeError:
-        os._exit(1)  # the session was ended: there is nobody to work for
+        os._exit(1)  # the parent ended
 
 
 def _out_of_memory(error: BaseException | None) -> bool:
-    """Whether there was no memory, also where a reader took that for a damaged file.
+    """Whether an error was caused by lack of memory.
 
-    Compiled code that gets no memory may also return without a word, a SystemError.
+    A reader may have converted it into another error; compiled code that returns without setting an
+    error gives a SystemError.
     """
     while error is not None:
         if isinstance(error, MemoryError | SystemError):
@@ -370,7 +378,7 @@ def _out_of_memory(error: BaseException | None) -> bool:
 
 
 def _portable(error: Exception) -> Exception:
-    """The error itself, without what led to it, if it survives the way; else a ValueError."""
+    """The error without its causes if it can be pickled, else a ValueError with its message."""
     try:
         copy = pickle.loads(pickle.dumps(error))
     except Exception:
@@ -379,7 +387,7 @@ def _portable(error: Exception) -> Exception:
 
 
 if __name__ == "__main__":
-    # Under its own name: what is sent back is of this module's classes.
+    # Imported, so that pickled classes belong to `app.scene.worker`, not to `__main__`.
     from app.scene.worker import _main as _named
 
     _named()

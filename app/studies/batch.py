@@ -1,7 +1,7 @@
-"""Many trials on Dask: written as they finish, resumed where they stopped.
+"""Runs many trials on Dask; each is written when it finishes, so that a study can be resumed.
 
-One file a trial, named by the trial's key, put in place as a whole. A file holds nothing that
-depends on where or when the trial ran, so the same trial gives the same bytes on one worker or ten.
+One file per trial, named by the trial's key, written atomically. It contains nothing that depends
+on where or when the trial ran, so the number of workers does not change its bytes.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import numpy as np
 from app.console import count
 from app.studies.experiments.protocol import Outcome, Trial, run
 
-_DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-RETRIES = 5  # a worker may die under a trial this often before the trial is given up
+_IGNORE_SIGINT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+RETRIES = 5  # of a trial whose worker died
 
 
 class ClusterLost(OSError):
-    """The scheduler or its workers are gone; the message says which. What was done is written."""
+    """The scheduler or its workers are lost; finished trials are written."""
 
 
 def grid(
@@ -44,7 +44,7 @@ def grid(
     """Every combination; operators are numbered from 1, 0 being the calibrated one.
 
     Raises:
-        OptionError: a value that no trial can have.
+        OptionError: an invalid value.
     """
     return [
         Trial(experiment, rule, number, operator, mesh, error, seed=seed, rate=rate, length=length)
@@ -62,19 +62,19 @@ def run_all(
     scheduler: str | None = None,
     done: Callable[[Outcome], None] = lambda _outcome: None,
 ) -> list[Outcome]:
-    """Do the trials that are not done yet, and return the outcomes of all, in order.
+    """Run the trials that have no file yet, and return the outcomes of all, in order.
 
     Args:
-        folder: where each trial's file is and goes.
-        workers: processes of the local cluster, one thread each; 0 computes here, without Dask.
+        folder: of the trials' files.
+        workers: processes of the local cluster, one thread each; 0: in this process, without Dask.
         scheduler: address of a Dask cluster to use instead, such as tcp://host:8786. Its workers
             need the same version of this package.
-        done: called after each trial was written, and for each that was there already.
+        done: called after each trial was written, and for each that had a file.
 
     Raises:
         ImportError: Dask is needed and not installed.
-        ClusterLost: the scheduler or the workers are gone before all trials are done.
-        OSError: the scheduler cannot be reached, or the folder not be written.
+        ClusterLost: the scheduler or the workers were lost before all trials were done.
+        OSError: the scheduler cannot be reached, or the folder cannot be written.
     """
     wanted = list(trials)
     folder.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def run_all(
 
 
 def outcome_text(trial: Trial) -> str:
-    """Do one trial: what its file says. Runs on the workers."""
+    """Run one trial; returns the text of its file. Runs on the workers."""
     outcome = run(trial)
     plain = dataclasses.replace(outcome, elapsed=0.0, driving=0.0, trajectory=np.empty((0, 4)))
     return json.dumps(plain.to_json(), sort_keys=True) + "\n"
@@ -120,7 +120,7 @@ def _distributed(trials: Sequence[Trial], workers: int, scheduler: str | None) -
                 for trial in trials
             ]
             for _future, text in as_completed(futures, with_results=True):
-                if isinstance(text, CancelledError):  # given, not raised
+                if isinstance(text, CancelledError):  # returned by Dask, not raised
                     raise text
                 yield text
         except KilledWorker as error:
@@ -139,10 +139,10 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
 
     settings = {
         "distributed.scheduler.allowed-failures": RETRIES,
-        # An interrupt is for the study, which ends its workers.
-        "distributed.worker.preload": [_DEAF],
+        # Ctrl-C goes to this process, which ends its workers.
+        "distributed.worker.preload": [_IGNORE_SIGINT],
     }
-    # What becomes of workers and scheduler is told in one line at the end.
+    # Errors of workers and scheduler are reported by `ClusterLost`.
     for name in [*logging.root.manager.loggerDict]:
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -151,7 +151,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             with Client(scheduler, timeout="10s") as client:
                 yield client
             return
-        # For this machine alone, on free ports: another study may be running beside this one.
+        # Local, on free ports: another study may run at the same time.
         with (
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True,
@@ -167,7 +167,7 @@ def _path(folder: Path, trial: Trial) -> Path:
 
 
 def _read(folder: Path, trial: Trial) -> Outcome | None:
-    """The outcome in a trial's file; None if there is none, or what is there is of no use."""
+    """The outcome in a trial's file; None if there is none, or it is invalid."""
     try:
         outcome = Outcome.from_json(json.loads(_path(folder, trial).read_text("utf-8")))
     except (OSError, ValueError, TypeError, KeyError):

@@ -17,25 +17,24 @@ from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
-LINGER = 1.0  # how long the mesh stays translucent once it hides the tip no longer [s]
+HOLD = 1.0  # the mesh stays translucent so long after it last hid the tip [s]
 
 
 class Anatomy(Part):
-    """The mesh as drawn (possibly decimated), opaque or, to be looked through, translucent."""
+    """The drawn mesh (possibly decimated), opaque or translucent."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self._api = api
         self._scene: Scene | None = None
         self._mesh: viser.MeshHandle | None = None
         self._visible = True
-        self._translucent = False  # as the layer switch says
-        self._hides = -np.inf  # when it hid the tip last, monotonic time [s]
-        self._whole = True  # no part of it is cut away
+        self._translucent = False  # by the layer switch
+        self._hidden_at = -np.inf  # monotonic time when it last hid the tip [s]
+        self._whole = True  # not cut
 
     def set_scene(self, scene: Scene) -> None:
-        """Draw another mesh in place of the old one."""
         self._scene = scene
-        self._hides = -np.inf
+        self._hidden_at = -np.inf
         self.cut(None)
 
     def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
@@ -45,7 +44,7 @@ class Anatomy(Part):
             return
         self._whole = part is None
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
-        # A back that nobody sees is a third of the time of a picture without a graphics card.
+        # Without a graphics card the back faces take a third of the rendering time.
         fronts_only = scene.fronts_only and part is None
         self._mesh = self._api.add_mesh_simple(
             "/anatomy/mesh",
@@ -66,20 +65,18 @@ class Anatomy(Part):
             self._mesh.visible = visible
 
     def set_translucent(self, on: bool) -> None:
-        """Let one look through the bone."""
+        """Layer switch of the translucency."""
         self._translucent = on
         self._draw()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Let everybody see the tip."""
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
-        self.look_through(eyes, np.array(shown.tip.translation))
+        self.keep_tip_visible(eyes, np.array(shown.tip.translation))
 
-    def look_through(self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> None:
-        """Let the tip p_tip (3,) [m] be seen from every eye (3,) in scene units.
-
-        The mesh is one for all clients: it is translucent while it hides the tip from any of them.
-        """
+    def keep_tip_visible(
+        self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]
+    ) -> None:
+        """Make the mesh translucent while it hides p_tip (3,) [m] from an eye (3,), scene units."""
         scene = self._scene
         if (
             scene is not None
@@ -89,12 +86,12 @@ class Anatomy(Part):
                 for eye in eyes
             )
         ):
-            self._hides = time.monotonic()
+            self._hidden_at = time.monotonic()
         self._draw()
 
     @property
     def _opacity(self) -> float | None:
-        hides = time.monotonic() < self._hides + LINGER
+        hides = time.monotonic() < self._hidden_at + HOLD
         return TRANSLUCENT if self._translucent or hides else None
 
     def _draw(self) -> None:

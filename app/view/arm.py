@@ -1,4 +1,4 @@
-"""Layer: the arm, its bodies hung on one frame for each thing that moves."""
+"""Layer: the arm, with one frame per link."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 from robots import Arm
 
-RESTING = 1e-7  # poses that change by less are not sent [m, quaternion units]
+MIN_CHANGE = 1e-7  # smaller changes of a pose are not sent [m], [quaternion units]
 
 
 class ArmDrawing(Part):
-    """The arm's meshes; moving them costs two messages for a joint, not for a body."""
+    """The arm's bodies; moving them takes up to two messages per link, not per body."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self._api = api
@@ -27,7 +27,7 @@ class ArmDrawing(Part):
         self._visible = True
 
     def set_scene(self, scene: Scene) -> None:
-        """Draw this scene's arm; the old one goes if it is another."""
+        """Draw the scene's arm, unless it is drawn already."""
         if self._arm is not None and self._arm.name == scene.arm.name:
             self._arm = scene.arm
             return
@@ -57,21 +57,17 @@ class ArmDrawing(Part):
             self._root.visible = visible
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Move the arm to the tick's joints."""
-        self.update(shown.telemetry.q)
-
-    def update(self, q: NDArray[np.float64]) -> None:
-        """Move the bodies to the joint positions q (n,)."""
+        q = shown.telemetry.q
         if self._arm is None or len(q) != len(self._arm.lower):
-            return  # telemetry of the scene before
+            return  # telemetry of the previous scene
         placements = self._arm.placements(q)  # (bodies, 7): wxyz, position [m]
         for row, node in self._links:
             changed = (
                 np.full(7, np.inf) if self._shown is None else placements[row] - self._shown[row]
             )
-            # Each half costs as much as the other, and many links only turn or only shift.
-            if np.abs(changed[:4]).max() > RESTING:
+            # Separately, as many links only rotate or only translate.
+            if np.abs(changed[:4]).max() > MIN_CHANGE:
                 node.wxyz = placements[row, :4]
-            if np.abs(changed[4:]).max() > RESTING:
+            if np.abs(changed[4:]).max() > MIN_CHANGE:
                 node.position = to_view(placements[row, 4:])
         self._shown = placements

@@ -1,4 +1,4 @@
-"""Where to look from: composed views of a scene."""
+"""Camera views of a scene, and motion of a client's camera."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from app.view.units import to_view
 FloatArray = NDArray[np.float64]
 
 FIELD_OF_VIEW = np.deg2rad(40.0)  # vertical [rad]
-# viser has no orthographic camera. A lens this narrow, 20 times as far away, comes near one: what
-# is half a picture's height nearer than the middle is drawn 1.8 % larger.
+# viser has no orthographic camera. This narrow one, 20 times as far away, approximates it: what is
+# half a picture's height nearer than the centre is drawn 1.8 % larger.
 PARALLEL = np.deg2rad(2.0)
-NEAREST = 0.02  # clipping plane in scene units: 0.2 mm, to look at a sphere of that size
-FARTHEST_DRAWN = 2000.0  # 20 m
-# From the front right and above, the side of the mesh that the arms' bodies do not hide.
+NEAR_PLANE = 0.02  # clipping distance, 0.2 mm [scene units]
+FAR_PLANE = 2000.0  # 20 m [scene units]
+# To the first view's camera: front right and above, where no arm's body hides the mesh.
 DIRECTION = np.array([0.55, 0.62, 0.56]) / np.linalg.norm([0.55, 0.62, 0.56])
 
 
-# Where axis views look from, and what is up in them. The page's first view is from +x, +y and +z.
+# Directions of the axis views' cameras, and of up in their pictures.
 AXES: dict[str, tuple[FloatArray, FloatArray]] = {
     "Side": (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])),
     "Front": (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])),
@@ -34,9 +34,9 @@ AXES: dict[str, tuple[FloatArray, FloatArray]] = {
 
 @dataclass(frozen=True)
 class View:
-    """Eye, what it looks at and what is up, (3,) each, arm base frame [m].
+    """Position of the eye, centre and up direction, (3,) each, arm base frame [m].
 
-    The eye's distance is for a lens of `FIELD_OF_VIEW`.
+    The eye's distance is for the field of view `FIELD_OF_VIEW`.
     """
 
     eye: FloatArray
@@ -45,23 +45,23 @@ class View:
 
 
 def site_view(scene: Scene, p_tip: FloatArray) -> View:
-    """Wrist, tip, motion sphere and what lies under them: the first sight; p_tip (3,) [m].
+    """The first view: wrist, tip p_tip (3,) [m], motion sphere and the surface below.
 
-    The tip is in the upper half, which a phone held upright leaves free.
+    The tip is in the upper half, which the panels leave free on an upright phone.
     """
     half_height = site_half_height(scene)
     return _framing(p_tip - np.array([0.0, 0.0, 0.55 * half_height]), half_height)
 
 
 def site_half_height(scene: Scene) -> float:
-    """Half of what `site_view` shows from top to bottom [m]."""
-    # A motion sphere of 5 mm is then larger than the gizmo.
+    """Half the height of the region that `site_view` shows [m]."""
+    # At most 34 mm, so that a motion sphere of 5 mm is larger than the gizmo.
     half_height = float(np.clip(0.25 * scene.surface.size, 8e-3, 0.034))
-    return max(half_height, 2.0 * _girth(scene))
+    return max(half_height, 2.0 * _width_at_tip(scene))
 
 
 def axis_view(scene: Scene, p_tip: FloatArray, name: str) -> View:
-    """As much as `site_view` shows, along an axis of the arm's base frame: a name of `AXES`."""
+    """The region of `site_view` along an axis of the arm's base frame; `name`: of `AXES`."""
     direction, up = AXES[name]
     view = site_view(scene, p_tip)
     distance = float(np.linalg.norm(view.eye - view.look_at))
@@ -91,7 +91,7 @@ def arm_view(scene: Scene, q: FloatArray) -> View:
 
 
 def tool_view(step: vf.Step) -> View:
-    """The tip and its motion sphere, seen from above the surface it is at."""
+    """The tip and its motion sphere, from above the nearest surface."""
     p_tip = np.array(step.tip.translation)
     view = _framing(p_tip, 1.6 * max(step.radius, 5e-4))
     if len(step.planes) == 0:
@@ -101,16 +101,16 @@ def tool_view(step: vf.Step) -> View:
     along = DIRECTION - (DIRECTION @ normal) * normal
     if np.linalg.norm(along) < 1e-3:
         return view
-    # Thirty-five degrees above the surface: lower, and a curved one hides the tip.
+    # 35° above the surface: at smaller angles a curved one hides the tip.
     direction = 0.57 * normal + 0.82 * along / np.linalg.norm(along)
     return View(p_tip + np.linalg.norm(view.eye - p_tip) * direction, p_tip)
 
 
 def named_view(name: str, scene: Scene, step: vf.Step | None) -> View:
-    """The view of that name, of the tool where it is; an unknown one is the site's.
+    """The view of that name; `site_view` for an unknown one.
 
     Args:
-        step: what the tool did last; None: it is at its start.
+        step: the last step; None: the tool is at its start.
     """
     if name == "Arm":
         return arm_view(scene, scene.start)
@@ -127,15 +127,15 @@ def named_view(name: str, scene: Scene, step: vf.Step | None) -> View:
 
 
 def surgeon_view(step: vf.Step) -> View:
-    """As through an endoscope beside the instrument: down along it, from its back, at the tip."""
+    """Along the instrument to the tip, as through an endoscope beside it."""
     p_tip = np.array(step.tip.translation)
     towards_wrist = -np.array(step.tip.rotation[:, 2])
-    # An endoscope stands beside the instrument on the side the page looks from, 35° off its axis.
+    # 35° off the instrument's axis, on the side of the first view.
     aside = DIRECTION - (DIRECTION @ towards_wrist) * towards_wrist
     length = float(np.linalg.norm(aside))
     aside = aside / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
     direction = np.cos(np.deg2rad(35.0)) * towards_wrist + np.sin(np.deg2rad(35.0)) * aside
-    # Straight up and down there is no level horizon to hold the camera by.
+    # A vertical direction would leave the camera's up direction undefined.
     if np.linalg.norm(direction[:2]) < 0.1:
         direction = direction + 0.1 * np.array([*DIRECTION[:2], 0.0])
         direction = direction / np.linalg.norm(direction)
@@ -143,14 +143,14 @@ def surgeon_view(step: vf.Step) -> View:
 
 
 class Following:
-    """Cameras that keep the tool in their middle, and are still turned and zoomed by hand."""
+    """Cameras that keep the tool centred; clients can still rotate and zoom them."""
 
     def __init__(self) -> None:
-        self._last: dict[int, FloatArray] = {}  # by client: the tip when last moved [m]
+        self._last: dict[int, FloatArray] = {}  # tip position at the last motion [m], by client
 
     @property
     def clients(self) -> tuple[int, ...]:
-        """Whose cameras follow."""
+        """Clients whose cameras follow."""
         return tuple(self._last)
 
     def start(self, client_id: int, p_tip: FloatArray) -> None:
@@ -158,7 +158,7 @@ class Following:
         self._last[client_id] = np.array(p_tip)
 
     def stop(self, client_id: int) -> None:
-        """Let the camera stand."""
+        """Do not follow any more."""
         self._last.pop(client_id, None)
 
     def update(self, clients: dict[int, viser.ClientHandle], p_tip: FloatArray) -> None:
@@ -168,10 +168,10 @@ class Following:
             if client is None:
                 self.stop(client_id)
                 continue
-            # Where a client says its camera is may be older than what it was told last; from where
-            # to where it looks, the one thing that is its own, is right all the same.
+            # The reported position may be older than the last motion set here; the offset from the
+            # centre, which only the client changes, is right nevertheless.
             away = client.camera.position - client.camera.look_at
-            # What is less than a pixel or two is not worth a message.
+            # Motions of less than about two pixels are not sent.
             moved = np.linalg.norm(to_view(p_tip - last))
             if moved < 2e-3 * np.linalg.norm(away) or client_id not in self._last:
                 continue
@@ -181,20 +181,20 @@ class Following:
                 client.camera.look_at = to_view(p_tip)
 
 
-def compose_first_sight(server: viser.ViserServer, view: View) -> None:
-    """What new clients start with, and where "reset view" goes."""
+def set_initial_camera(server: viser.ViserServer, view: View) -> None:
+    """Set the camera of new clients and of "reset view"."""
     camera = server.initial_camera
     camera.up = (0.0, 0.0, 1.0)
     camera.fov = FIELD_OF_VIEW
-    camera.near = NEAREST
-    camera.far = FARTHEST_DRAWN
+    camera.near = NEAR_PLANE
+    camera.far = FAR_PLANE
     camera.position = to_view(view.eye)
     camera.look_at = to_view(view.look_at)
 
 
 def move(client: viser.ClientHandle, view: View) -> None:
-    """Put one client's camera there; its lens stays what it is."""
-    away = _same_size(to_view(view.eye - view.look_at), FIELD_OF_VIEW, client.camera.fov)
+    """Move a client's camera; its field of view stays."""
+    away = _rescaled(to_view(view.eye - view.look_at), FIELD_OF_VIEW, client.camera.fov)
     with client.atomic():
         client.camera.up_direction = view.up
         client.camera.position = to_view(view.look_at) + away
@@ -202,47 +202,47 @@ def move(client: viser.ClientHandle, view: View) -> None:
 
 
 def set_lens(client: viser.ClientHandle, fov: float) -> None:
-    """Give one client another field of view [rad]; what it looks at keeps its size."""
+    """Set a client's field of view [rad]; objects at the centre keep their size."""
     camera = client.camera
     look_at = np.array(camera.look_at)
-    away = _same_size(camera.position - look_at, camera.fov, fov)
+    away = _rescaled(camera.position - look_at, camera.fov, fov)
     with client.atomic():
         camera.fov = fov
         camera.position = look_at + away
         camera.look_at = look_at
-    keep_depth(client)
+    update_clipping(client)
 
 
 def is_parallel(client: viser.ClientHandle) -> bool:
-    """Whether a client looks through the lens of `PARALLEL`."""
+    """Whether a client's field of view is `PARALLEL`."""
     return bool(client.camera.fov < 0.5 * (PARALLEL + FIELD_OF_VIEW))
 
 
-def keep_depth(client: viser.ClientHandle) -> None:
-    """Have a far camera tell near from far: its clipping planes go along with its distance."""
+def update_clipping(client: viser.ClientHandle) -> None:
+    """Adapt the clipping planes to the camera's distance, to keep the depth precision."""
     camera = client.camera
-    near, far = NEAREST, FARTHEST_DRAWN
+    near, far = NEAR_PLANE, FAR_PLANE
     if is_parallel(client):
         distance = float(np.linalg.norm(camera.position - camera.look_at))
-        near, far = 0.5 * distance, distance + FARTHEST_DRAWN
-    # What changes little is not worth a message.
+        near, far = 0.5 * distance, distance + FAR_PLANE
+    # Small changes are not sent.
     if not 0.8 < camera.near / near < 1.25:
         camera.near, camera.far = near, far
 
 
-def _same_size(away: FloatArray, before: float, after: float) -> FloatArray:
-    """From what is looked at to the eye, so that another field of view [rad] shows as much."""
+def _rescaled(away: FloatArray, before: float, after: float) -> FloatArray:
+    """Offset of the eye from the centre that shows the same region with another field of view."""
     return away * np.tan(0.5 * before) / np.tan(0.5 * after)
 
 
 def _framing(centre: FloatArray, half_height: float) -> View:
-    """A ball of that radius [m] just fills the picture's height."""
+    """The view in which a ball of radius `half_height` [m] fills the picture's height."""
     distance = half_height / np.sin(FIELD_OF_VIEW / 2.0)
     return View(centre + distance * DIRECTION, centre)
 
 
-def _girth(scene: Scene) -> float:
-    """How far the arm reaches sideways around its tip [m]: a thick hand needs a wider view."""
+def _width_at_tip(scene: Scene) -> float:
+    """Largest horizontal distance from the tip to the arm's bodies within 6 cm [m]."""
     p_tip = scene.T_base_start.translation
     widest = 0.0
     placements = scene.arm.placements(scene.start)

@@ -1,4 +1,4 @@
-"""Part of the page: the planned path, the walls of the corridor along it, and its width."""
+"""Folder "Corridor": the planned path, the walls along it, and their distance."""
 
 from __future__ import annotations
 
@@ -17,20 +17,24 @@ from app.view.fields import NumberField, show
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
-HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself has no end up or down
-BEYOND = 3e-3  # of the drawn walls before and after the path [m]
+HALF_HEIGHT = 5e-3  # of the drawn walls [m]; the corridor itself is unbounded
+BEYOND = 3e-3  # length of the drawn walls beyond the path's ends [m]
 
 
 class CorridorControl(Part):
-    """Switch and width of the corridor; there is nothing to switch where no path is planned."""
+    """Switch and width of the corridor; hidden in scenes without a planned path."""
 
     def __init__(self, context: PageContext) -> None:
-        self._session, self._hand, self._tell = context.session, context.hand, context.tell
-        self._screen = context.screen
+        self._session, self._input, self._notify = (
+            context.session,
+            context.client_input,
+            context.notify,
+        )
+        self._source = context.source
         self._api = context.server.scene
         self._drawn: tuple[int, float | None] | None = None
         self._name = context.labels.add("/corridor/name", "planned cut", anchor="top-left")
-        self._end = 0  # of the path that the label is at
+        self._end = 0  # end of the path with the label
         kind = number("corridor")
         low, high = kind.low * kind.shown, kind.high * kind.shown
         with context.server.gui.add_folder("Corridor", expand_by_default=False) as self._folder:
@@ -41,7 +45,7 @@ class CorridorControl(Part):
                 "Width ± [mm]", DEFAULT_WIDTH * 1e3, min=low, max=high, step=0.1
             )
         self._field = NumberField(
-            self._width, (low, high), self._hand, self._tell, self._take, self._in_force
+            self._width, (low, high), self._input, self._notify, self._take, self._in_force
         )
         self._on.on_update(self._switched)
 
@@ -73,32 +77,32 @@ class CorridorControl(Part):
             self._draw_wall(f"/corridor/{name}", None if walls is None else walls[side])
 
     def read_out(self, shown: Moment) -> None:
-        live = self._screen.live
+        live = self._source.live
         self._on.disabled = self._width.disabled = not live
         show(self._on, shown.options.corridor is not None)
         self._field.sync()
 
     def _in_force(self) -> float | None:
-        width = self._screen.shown.options.corridor
+        width = self._source.shown.options.corridor
         return None if width is None else width * 1e3
 
     async def _switched(self, event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:  # None: we set it ourselves
-            self._hand.submit(self._switch, event.client, bool(event.target.value))
+        if event.client is not None:  # None: set by this program
+            self._input.submit(self._switch, event.client, bool(event.target.value))
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         try:
             self._session.set(corridor=float(self._width.value) * 1e-3 if on else None)
         except ValueError as error:
-            self._tell(client, f"{error}")
+            self._notify(client, f"{error}")
 
     def _take(self, width: float) -> None:
-        """A width [mm]; without a corridor it is for later."""
+        """Set the width [mm], if the corridor is on."""
         if self._session.options.corridor is not None:
             self._session.set(corridor=width * 1e-3)
 
     def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
-        """The label, at the end of the path that is farther from the tip and its labels."""
+        """Place the label at the end of the path farther from the tip and its labels."""
         path = scene.planned_path
         self._name.visible = path is not None
         if path is not None:
@@ -125,9 +129,6 @@ class CorridorControl(Part):
 
 
 def far_end(ends: NDArray[np.float64], p_tip: NDArray[np.float64], last: int) -> int:
-    """Which of two ends (2, 3) is farther from the tip (3,): 0 or 1.
-
-    The other than `last` only where it is farther by a fifth: a label is not to go to and fro.
-    """
+    """Index of the end (2, 3) farther from the tip (3,): another than `last` if farther by 20 %."""
     first, second = np.linalg.norm(ends - p_tip, axis=1)
     return int(second > 1.2 * first) if last == 0 else int(first <= 1.2 * second)

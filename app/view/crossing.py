@@ -1,4 +1,4 @@
-"""Layer: where the tool's tip crossed the mesh."""
+"""Layer: the point where the tool's tip crossed the mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from app.view.units import to_view
 
 
 class CrossingMark(Part):
-    """A dot and a label at the first crossing, until the tool is reset or the scene is changed."""
+    """A dot and a label at the first crossing since the last reset or change of scene."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._dot = api.add_point_cloud(
@@ -29,11 +29,7 @@ class CrossingMark(Part):
         self._shown: Crossing | None = None
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Mark the crossing that there is."""
-        self.update(shown.crossing)
-
-    def update(self, crossing: Crossing | None) -> None:
-        """Show this crossing; None: there is none."""
+        crossing = shown.crossing
         if crossing is self._shown:
             return
         self._shown = crossing

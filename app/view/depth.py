@@ -1,7 +1,7 @@
-"""Where the tool is with respect to the anatomy, found without any plane or rule.
+"""Position of the tool relative to the anatomy, independent of planes and rules.
 
-Distance and side are the surface's own answers, from the tree that the planes come from too; what
-was crossed and what is between two points are not.
+Distance and side are the surface's own queries, on the tree that the planes use too; crossings and
+lines of sight are computed by `app.judges`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 import vf
 from app.control.watch import Crossing
 from app.judges.meeting import sees
-from app.judges.oracles import SCRATCH
+from app.judges.oracles import OVERLAP_TOLERANCE
 from app.scene.scene import Scene
 from robots import Arm
 
@@ -23,20 +23,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Whereabouts:
-    """The tool tip and the anatomy.
+    """Position of the tool relative to the anatomy.
 
     Attributes:
-        distance: from the tip's centre to the nearest triangle [m], on whichever side it is.
-        tip_radius: of the tip's ball [m].
+        distance: from the tip's centre to the nearest triangle, unsigned [m].
+        tip_radius: radius of the tip's ball [m].
         closed: whether the mesh has an inside.
         inside: whether the tip's centre is inside it.
-        crossing: where the tip met the mesh since it was put where it started; None: it did not.
-        beyond: whether the tip's centre crossed the mesh, is not inside of it, and has triangles
-            between itself and both the place it crossed from and the place it started from: a
-            shell, or an open mesh, of which it is on the far side.
-        from_crossing: from the tip's centre to where it met the mesh [m]; 0 if it did not.
-        shaft_crosses: whether the line of the instrument, from the tip up along the arm, meets the
-            mesh: only the tip is guarded.
+        crossing: first contact of the tip with the mesh since the last reset, or None.
+        beyond: whether the tip is on the far side of a shell or an open mesh: its centre crossed
+            the mesh, is not inside, and sees neither the point before the crossing nor the start.
+        from_crossing: from the tip's centre to the crossing [m]; 0 without one.
+        shaft_crosses: whether the instrument's axis, from the tip along the arm, meets the mesh.
     """
 
     distance: float
@@ -50,24 +48,24 @@ class Whereabouts:
 
     @property
     def gap(self) -> float:
-        """From the tip's ball to the nearest triangle [m]; negative where they overlap."""
+        """From the tip's ball to the nearest triangle [m]; negative if they overlap."""
         return self.distance - self.tip_radius
 
     @property
     def overlaps(self) -> bool:
-        """Whether the tip's ball overlaps the mesh, by more than rounding."""
-        return self.tip_radius > 0.0 and self.gap < -SCRATCH
+        """Whether the tip's ball overlaps the mesh by more than rounding."""
+        return self.tip_radius > 0.0 and self.gap < -OVERLAP_TOLERANCE
 
     @property
     def free(self) -> bool:
-        """Whether the tip is in free space and came there through free space."""
+        """Whether the tip is in free space and has not met the mesh."""
         return not (self.inside or self.overlaps or self.crossing)
 
 
 def whereabouts(
     scene: Scene, q: ArrayLike, p_tip: ArrayLike, tip_radius: float, crossing: Crossing | None
 ) -> Whereabouts:
-    """Where the tip p_tip (3,) [m] of the arm at joints q (n,) is; base frame."""
+    """Position of the tip p_tip (3,) [m], base frame, of the arm at joints q (n,)."""
     surface, p = scene.surface, np.asarray(p_tip, dtype=np.float64)
     inside = surface.inside(p)
     beyond, length = False, 0.0
@@ -88,9 +86,9 @@ def whereabouts(
 
 
 def shaft(arm: Arm, q: ArrayLike, p_tip: FloatArray) -> FloatArray:
-    """The line (k, 3) [m] of an arm at joints q (n,): from its tip through the joints to its base.
+    """Polyline (k, 3) [m] of an arm at joints q (n,), from its tip through its joints to its base.
 
-    A joint whose body is not drawn, or that is where the one before it is, adds no point.
+    Joints without a drawn body, and repeated points, are skipped.
     """
     places = {body.frame: row[4:] for body, row in zip(arm.bodies, arm.placements(q), strict=True)}
     line = [np.asarray(p_tip, dtype=np.float64)]
@@ -102,14 +100,11 @@ def shaft(arm: Arm, q: ArrayLike, p_tip: FloatArray) -> FloatArray:
 
 
 def free_line(surface: vf.Surface, line: FloatArray) -> bool:
-    """Whether no piece of a line (k, 3) [m] meets the mesh."""
+    """Whether no segment of a polyline (k, 3) [m] meets the mesh."""
     return all(sees(surface, line[k], line[k + 1]) for k in range(len(line) - 1))
 
 
 def signed_distance(surface: vf.Surface, p_base: ArrayLike) -> float:
-    """Distance from p_base (3,) to the surface [m]; negative inside it: minus the depth.
-
-    An open surface has no inside, so there the distance is never negative.
-    """
+    """Distance from p_base (3,) to the surface [m]; negative inside a closed one."""
     distance, _, _ = surface.nearest(p_base)
     return -distance if surface.inside(p_base) else distance

@@ -1,4 +1,4 @@
-"""Questions to one client: a window with some controls, a button that does it, and Cancel."""
+"""Dialogs for one client: controls, an action button, and Cancel."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from app.view.escape import Escape
+from app.view.escape import EscapeKey
 
 _closing = threading.Lock()
 _STYLE = (
@@ -19,18 +19,18 @@ _STYLE = (
 
 def ask(
     client: viser.ClientHandle,
-    escape: Escape,
+    escape: EscapeKey,
     title: str,
     text: str,
     action: str,
     job: Callable[[], None],
     color: Any = None,
 ) -> None:
-    """Do the job if the client presses the button that is called like the action.
+    """Run the job if the client presses the button labelled `action`.
 
     Args:
-        text: what the client ought to know, plain.
-        job: run in viser's pool; it tells its errors itself.
+        text: explanation, plain text.
+        job: runs in viser's thread pool and reports its errors itself.
         color: of the button.
     """
     dialog = client.gui.add_modal(title)
@@ -41,13 +41,13 @@ def ask(
 
 def ask_name(
     client: viser.ClientHandle,
-    escape: Escape,
+    escape: EscapeKey,
     title: str,
     name: str,
     action: str,
     job: Callable[[str], None],
 ) -> None:
-    """Do the job with the name that the client types; `name` is what stands there before."""
+    """Run the job with the name that the client types; `name` is the initial text."""
     dialog = client.gui.add_modal(title)
     with dialog:
         box = client.gui.add_text("Name", name)
@@ -56,7 +56,7 @@ def ask_name(
 
 def _buttons(
     client: viser.ClientHandle,
-    escape: Escape,
+    escape: EscapeKey,
     dialog: Any,
     action: str,
     job: Callable[[], None],
@@ -70,7 +70,7 @@ def _buttons(
 
     escape.opened(client.client_id, shut)
 
-    # Plain functions: viser runs them in its pool, where they may take their time.
+    # Plain functions: viser runs them in its thread pool, so they may block.
     @go.on_click
     def _go(_event: viser.GuiEvent[Any]) -> None:
         escape.closed(client.client_id, shut)
@@ -84,7 +84,7 @@ def _buttons(
 
 
 def close(dialog: Any) -> bool:
-    """Close a window; whether it was still open: a double click closes it twice."""
+    """Close a dialog; whether it was open: a double click closes it twice."""
     with _closing:
         if dialog.closed:
             return False

@@ -1,4 +1,4 @@
-"""Layer: the motion sphere, the planes that guard the tool, and the triangles they came from."""
+"""Layer: the motion sphere, the planes of a tick, and the triangles that gave them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.recording.playback import Moment
-from app.view import palette
+from app.view import nodes, palette
 from app.view.camera import DIRECTION
 from app.view.labels import Labels
 from app.view.part import Clients, Part
@@ -19,22 +19,21 @@ from app.view.units import to_buffer, to_view, turn_z_to
 FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
 
-SLOTS = 128  # planes drawn at most; rule "all" can make a thousand
-CLEAR = 12  # of more planes than these only the nearest get a disc and an arrow, the others a rim
-# Opacities of the discs, and those for when what is under them is inspected.
-CALM = (0.3, 0.1)
-STRONG = (0.65, 0.3)
-BLOCKS_LENGTH = 0.5  # of the arrow of the plane that pushes most, per radius of its disc
-LEANING = 1e-7  # a plane that pushed the tip back by more in this tick holds the tool [m]
+MAX_PLANES = 128  # drawn; rule "all" can make a thousand
+MAX_DISCS = 12  # only the nearest planes have a disc and an arrow, the others a rim
+# Opacity of the discs, and while the inspector draws below them.
+IDLE_OPACITY = (0.3, 0.1)
+ACTIVE_OPACITY = (0.65, 0.3)
+BLOCKING_LENGTH = 0.5  # of the arrow of the plane that pushes most, in radii of its disc
+MIN_PUSH = 1e-7  # a plane is active if it pushed the tip back by more in this tick [m]
 
 
 class FixtureDrawing(Part):
-    """Planes are drawn as their discs inside the motion sphere, coloured by the rule.
+    """Draws planes as their discs inside the motion sphere, coloured by rule.
 
-    The more a plane pushes the tool back, the fuller its colour; the one that pushes most has a
-    thick ring. All planes are instances of four small meshes. Their number never changes (a plane
-    that is not there has scale 0): the browser builds a batch anew when its length or opacities
-    change.
+    The saturation of an active plane shows its share of the push; the plane that pushes most has a
+    thick ring. All planes are instances of four batches of constant length, as the browser rebuilds
+    a batch whose length or opacity changes; an unused instance has scale 0.
     """
 
     def __init__(self, api: viser.SceneApi, labels: Labels, root: str = "/fixture") -> None:
@@ -45,74 +44,48 @@ class FixtureDrawing(Part):
             color=palette.SPHERE,
             subdivisions=10,
             opacity=0.2,
-            # Translucent meshes write depth: the near half would hide the discs inside.
+            # Translucent meshes write depth, so the near half would hide the discs.
             side="back",
             cast_shadow=False,
             receive_shadow=False,
             visible=False,
         )
         disc, rim = _disc(), _rim()
-        self._calm = _batch(api, f"{root}/discs", disc, opacity=CALM[0])
-        self._leaning = _batch(api, f"{root}/discs_leaning", disc, opacity=STRONG[0])
+        self._idle_discs = _batch(api, f"{root}/discs", disc, opacity=IDLE_OPACITY[0])
+        self._active_discs = _batch(api, f"{root}/discs_leaning", disc, opacity=ACTIVE_OPACITY[0])
         self._rims = _batch(api, f"{root}/rims", rim)
         self._normals = _batch(api, f"{root}/normals", _arrow())
-        # Of the plane that pushes most: a thick ring, a large arrow, a word.
+        # Of the plane that pushes most: a thick ring, a large arrow, a label.
         self._blocking = [
-            api.add_mesh_simple(
-                f"{root}/blocking_{name}",
-                *shape,
-                color=palette.BLOCKING,
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-                visible=False,
+            nodes.mesh(
+                api, f"{root}/blocking_{name}", palette.BLOCKING, vertices=shape[0], faces=shape[1]
             )
             for name, shape in (
                 ("ring", _rim(inner=0.93)),
-                ("arrow", _arrow(BLOCKS_LENGTH, thickness=2.2)),
+                ("arrow", _arrow(BLOCKING_LENGTH, thickness=2.2)),
             )
         ]
         self._blocks = labels.add(f"{root}/blocks", anchor="bottom-left")
         self._triangles = {
-            rule: api.add_mesh_simple(
-                f"{root}/triangles_{rule.name.lower()}",
-                vertices=np.zeros((3, 3), dtype=np.float32),
-                faces=np.array([[0, 1, 2]], dtype=np.uint32),
-                color=look.color,
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-                visible=False,
-            )
+            rule: nodes.mesh(api, f"{root}/triangles_{rule.name.lower()}", look.color)
             for rule, look in palette.LOOKS.items()
         }
-        # Light and shade fall on the triangles; their edges have the legend's colours as they are.
-        self._edges = api.add_line_segments(
-            f"{root}/edges",
-            points=np.zeros((3 * SLOTS, 2, 3), dtype=np.float32),
-            colors=np.zeros((3 * SLOTS, 2, 3), dtype=np.uint8),
-            thickness=2.5,
-            thickness_units="screen",
-            visible=False,
-        )
+        # The triangles are shaded; their unshaded edges have the legend's colours.
+        self._edges = nodes.lines(api, f"{root}/edges", 2.5, count=3 * MAX_PLANES)
         self.show_sphere = True
         self.show_planes = True
         self.show_normals = True
         self.show_triangles = True
-        self.withdrawn = False
-        """Somebody else is on the stage: draw nothing."""
+        self.suppressed = False
+        """Draw nothing: the inspector's probe is shown instead."""
         self.inspected = False
-        """Somebody else draws the triangles, with more to say about them: let them be seen."""
+        """The inspector draws the triangles: draw none, and paler discs."""
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Draw the tick's planes."""
-        if shown.telemetry.step is not None:
-            self.update(shown.telemetry.step, shown.scene.surface)
-
-    def update(self, step: vf.Step, surface: vf.Surface) -> None:
-        """Draw what one tick was constrained by."""
-        p_tip = np.asarray(step.tip.translation)
-        self.draw(p_tip, step.radius, step.planes, step.multipliers, surface)
+        step = shown.telemetry.step
+        if step is not None:
+            p_tip = np.asarray(step.tip.translation)
+            self.draw(p_tip, step.radius, step.planes, step.multipliers, shown.scene.surface)
 
     def draw(
         self,
@@ -122,8 +95,8 @@ class FixtureDrawing(Part):
         multipliers: FloatArray,
         surface: vf.Surface,
     ) -> None:
-        """Draw planes around p_tip (3,); each pushed back by its multiplier (m,) [m]."""
-        self._sphere.visible = self.show_sphere and not self.withdrawn
+        """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m]."""
+        self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
             self._sphere.position = to_view(p_tip)
             self._sphere.scale = float(to_view(radius))
@@ -132,9 +105,10 @@ class FixtureDrawing(Part):
         self._draw_triangles(radius, planes, surface, chosen)
 
     def hide(self) -> None:
-        """Take everything away until the next `draw`."""
-        nodes = (self._edges, self._sphere, self._calm, self._leaning, self._rims, self._normals)
-        for node in (*nodes, *self._blocking, *self._triangles.values()):
+        """Hide everything until the next `draw`."""
+        for batch in (self._idle_discs, self._active_discs, self._rims, self._normals):
+            batch.visible = False
+        for node in (self._edges, self._sphere, *self._blocking, *self._triangles.values()):
             node.visible = False
         self._blocks.visible = False
 
@@ -146,40 +120,43 @@ class FixtureDrawing(Part):
         multipliers: FloatArray,
         chosen: NDArray[np.intp],
     ) -> None:
-        any_plane = len(chosen) > 0 and not self.withdrawn
-        for batch in (self._calm, self._leaning, self._rims):
+        any_plane = len(chosen) > 0 and not self.suppressed
+        for batch in (self._idle_discs, self._active_discs, self._rims):
             batch.visible = self.show_planes and any_plane
         self._normals.visible = self.show_normals and any_plane
         strongest = float(multipliers[chosen].max(initial=0.0))
-        blocks = self.show_planes and any_plane and strongest > LEANING
+        blocks = self.show_planes and any_plane and strongest > MIN_PUSH
         self._blocks.visible = blocks
         for node in self._blocking:
             node.visible = blocks
         if not any_plane:
             return
-        for batch, opacities in ((self._calm, CALM), (self._leaning, STRONG)):
+        for batch, opacities in (
+            (self._idle_discs, IDLE_OPACITY),
+            (self._active_discs, ACTIVE_OPACITY),
+        ):
             if batch.opacity != opacities[self.inspected]:
                 batch.opacity = opacities[self.inspected]
         normals = planes.normals[chosen]
         centres, radii = discs(normals, planes.offsets[chosen], p_tip, radius)
         pushes = multipliers[chosen]
-        leaning = pushes > LEANING
+        active = pushes > MIN_PUSH
         rank = np.argsort(np.argsort(np.abs(planes.slack(p_tip)[chosen]), kind="stable"))
-        near = (rank < CLEAR) | leaning
+        near = (rank < MAX_DISCS) | active
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
-        # At the centre of its disc, where the tool is, an arrow would be hidden by the tool.
+        # Off the centre of the disc, where the tool would hide the arrow.
         feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
-        if strongest > LEANING:
+        if strongest > MIN_PUSH:
             looks = [
-                palette.tinted(color, push / strongest) if leans else color
-                for color, push, leans in zip(looks, pushes, leaning, strict=True)
+                palette.tinted(color, push / strongest) if pushes_back else color
+                for color, push, pushes_back in zip(looks, pushes, active, strict=True)
             ]
         colors = palette.linear(_padded(np.array(looks)).astype(np.uint8))
         scales = to_view(radii)
         for batch, place, scale in (
-            (self._calm, positions, np.where(near & ~leaning, scales, 0.0)),
-            (self._leaning, positions, np.where(leaning, scales, 0.0)),
+            (self._idle_discs, positions, np.where(near & ~active, scales, 0.0)),
+            (self._active_discs, positions, np.where(active, scales, 0.0)),
             (self._rims, positions, scales),
             (self._normals, feet, np.where(near, to_view(radius), 0.0)),
         ):
@@ -189,22 +166,22 @@ class FixtureDrawing(Part):
             batch.batched_colors = colors
         if blocks:
             most = int(pushes.argmax())
-            # A hair above the plane's own rim; the arrow clear of the tool, beside the normal.
+            # Slightly above the plane's own rim; the arrow clear of the tool.
             ring = centres[most] + 0.015 * radius * normals[most]
             foot = ring + 0.8 * radii[most] * _towards_viewer(normals[most][None])[0]
             for node, place in zip(self._blocking, (ring, foot), strict=True):
                 node.wxyz = wxyzs[most]
                 node.position = to_view(place)
                 node.scale = float(scales[most])
-            self._blocks.position = to_view(foot + BLOCKS_LENGTH * radii[most] * normals[most])
+            self._blocks.position = to_view(foot + BLOCKING_LENGTH * radii[most] * normals[most])
             self._blocks.text = f"blocks: takes {1e3 * strongest:.2g} mm off each step"
 
     def _draw_triangles(
         self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]
     ) -> None:
         chosen = chosen[planes.triangles[chosen] >= 0]
-        shown = self.show_triangles and not (self.withdrawn or self.inspected)
-        lift = 0.01 * radius  # towards the tool, clear of the mesh's own triangles [m]
+        shown = self.show_triangles and not (self.suppressed or self.inspected)
+        lift = 0.01 * radius  # along the normals, clear of the mesh's own triangles [m]
         for rule, node in self._triangles.items():
             mine = chosen[planes.rules[chosen] == rule]
             visible = shown and len(mine) > 0
@@ -219,40 +196,40 @@ class FixtureDrawing(Part):
             corners = surface.vertices[surface.faces[planes.triangles[chosen]]]  # (k, 3, 3)
             corners = corners + 1.5 * lift * planes.normals[chosen][:, None, :]
             ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-            unused = np.tile(ends[-1:, :1], (3 * SLOTS - len(ends), 2, 1))  # without length
+            unused = np.tile(ends[-1:, :1], (3 * MAX_PLANES - len(ends), 2, 1))  # of zero length
             self._edges.points = to_buffer(np.concatenate([ends, unused]))
             looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
-            colors = np.zeros((3 * SLOTS, 2, 3), dtype=np.uint8)
+            colors = np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.uint8)
             colors[: len(ends)] = np.repeat(np.array(looks, dtype=np.uint8), 3, axis=0)[:, None, :]
             self._edges.colors = palette.linear(colors)
 
 
 def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArray[np.intp]:
-    """Which planes to draw: those that cut the sphere, the nearest ones if there are too many."""
+    """Indices of the planes to draw: the nearest `MAX_PLANES` that cut the sphere."""
     slack = planes.slack(p_tip)
     order = np.argsort(np.abs(slack), kind="stable")
-    return np.sort(order[np.abs(slack[order]) < radius][:SLOTS])
+    return np.sort(order[np.abs(slack[order]) < radius][:MAX_PLANES])
 
 
 def discs(
     normals: FloatArray, offsets: FloatArray, centre: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Where planes n·y = o (m of them) cut a ball: disc centres (m, 3) and radii (m,) [m]."""
+    """Discs of planes n·y = o (m of them) in a ball: centres (m, 3) and radii (m,) [m]."""
     height = offsets - normals @ centre
     centres = centre + height[:, None] * normals
     return centres, np.sqrt(np.maximum(radius**2 - height**2, 0.0))
 
 
 def _towards_viewer(normals: FloatArray) -> FloatArray:
-    """Unit vectors (m, 3) along the planes, towards the side the page looks from at first."""
+    """Unit vectors (m, 3) in the planes, towards the camera of the first view."""
     along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
     length = np.linalg.norm(along, axis=1, keepdims=True)
     return np.asarray(along / np.maximum(length, 1e-6))
 
 
 def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:
-    """Rows filled up with zeros to `SLOTS` of them."""
-    out = np.zeros((SLOTS, *rows.shape[1:]), dtype=np.float32)
+    """Rows padded with zeros to `MAX_PLANES`."""
+    out = np.zeros((MAX_PLANES, *rows.shape[1:]), dtype=np.float32)
     out[: len(rows)] = rows
     return out
 
@@ -263,10 +240,10 @@ def _batch(
     return api.add_batched_meshes_simple(
         name,
         *shape,
-        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (SLOTS, 1)),
-        batched_positions=np.zeros((SLOTS, 3)),
-        batched_scales=np.zeros(SLOTS, dtype=np.float32),
-        batched_colors=np.zeros((SLOTS, 3), dtype=np.uint8),
+        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (MAX_PLANES, 1)),
+        batched_positions=np.zeros((MAX_PLANES, 3)),
+        batched_scales=np.zeros(MAX_PLANES, dtype=np.float32),
+        batched_colors=np.zeros((MAX_PLANES, 3), dtype=np.uint8),
         opacity=opacity,
         side="double",
         lod="off",
@@ -290,7 +267,7 @@ def _disc(segments: int = 40) -> Triangles:
 
 
 def _rim(segments: int = 40, inner: float = 0.975) -> Triangles:
-    """The rim of the unit disc."""
+    """The rim of the unit disc, from the radius `inner` outwards."""
     vertices = np.vstack([_circle(segments), inner * _circle(segments)])
     k = np.arange(segments)
     following = (k + 1) % segments

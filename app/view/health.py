@@ -1,4 +1,4 @@
-"""Layer: what is wrong with the mesh, where it is; and the report in words."""
+"""Layer: defects of the mesh, drawn where they are; and the health report as HTML."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.view import palette
+from app.view import nodes, palette
 from app.view.palette import Rgb
 from app.view.units import to_buffer
 from meshes import Finding, Health
@@ -18,9 +18,9 @@ from meshes import Finding, Health
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOST = 20_000  # faces, edges or vertices drawn of one finding, evenly chosen
+MAX_DRAWN = 20_000  # faces, edges or vertices drawn per finding, evenly sampled
 
-# Bright ones that bone has nothing of; the planes' colours are lighter and come in discs.
+# Distinct from bone.
 DEFECT: Rgb = palette.VERMILION
 NOTE: Rgb = palette.YELLOW
 EDGES: dict[str, Rgb] = {"boundary loops": palette.BLUE, "non-manifold edges": palette.PURPLE}
@@ -28,7 +28,7 @@ VERTICES: Rgb = palette.BLACK
 
 
 def color(finding: Finding) -> Rgb:
-    """The colour that a finding is drawn in and marked with in the list."""
+    """Colour of a finding, in the scene and in the report."""
     if finding.of == "faces":
         return DEFECT if finding.defect else NOTE
     return EDGES.get(finding.kind, DEFECT) if finding.of == "edges" else VERTICES
@@ -36,12 +36,12 @@ def color(finding: Finding) -> Rgb:
 
 @dataclass(frozen=True)
 class Marks:
-    """What to draw of a report, arm base frame [m].
+    """Geometry of a report's findings, arm base frame [m].
 
     Attributes:
-        defects, notes: (k, 3, 3) corners of faces.
-        edges: for each kind of `EDGES` the ends (k, 2, 3).
-        vertices: (k, 3).
+        defects, notes: corners (k, 3, 3) of faces.
+        edges: end points (k, 2, 3) for each kind of `EDGES`.
+        vertices: points (k, 3).
     """
 
     defects: FloatArray
@@ -51,51 +51,34 @@ class Marks:
 
 
 def marks(report: Health, surface: vf.Surface) -> Marks:
-    """Where the findings are. Faces with defects are not marked a second time for a note."""
+    """Geometry of the findings; a face with a defect is not marked for a note as well."""
     v, f = surface.vertices, surface.faces
     faces: dict[bool, list[IntArray]] = {True: [], False: []}
     edges = {kind: np.empty((0, 2, 3)) for kind in EDGES}
     points: list[IntArray] = []
     for finding in report.findings:
-        ids = _some(finding.ids)
+        ids = _subset(finding.ids)
         if finding.of == "faces":
             faces[finding.defect].append(ids)
         elif finding.of == "edges":
             edges[finding.kind] = v[ids]
         else:
             points.append(ids)
-    defects = _united(faces[True])
-    notes = np.setdiff1d(_united(faces[False]), defects)
-    return Marks(v[f[defects]], v[f[notes]], edges, v[_united(points)])
+    defects = _unique(faces[True])
+    notes = np.setdiff1d(_unique(faces[False]), defects)
+    return Marks(v[f[defects]], v[f[notes]], edges, v[_unique(points)])
 
 
 class HealthDrawing:
-    """The marks on the mesh, each kind in its colour."""
+    """Draws marks, each kind in its colour."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self._faces = {
-            name: api.add_mesh_simple(
-                f"/health/{name}",
-                vertices=np.zeros((3, 3), dtype=np.float32),
-                faces=np.array([[0, 1, 2]], dtype=np.uint32),
-                color=rgb,
-                side="double",
-                flat_shading=True,
-                cast_shadow=False,
-                receive_shadow=False,
-                visible=False,
-            )
+            name: nodes.mesh(api, f"/health/{name}", rgb, flat_shading=True)
             for name, rgb in (("defects", DEFECT), ("notes", NOTE))
         }
         self._edges = {
-            kind: api.add_line_segments(
-                f"/health/{kind.replace(' ', '_')}",
-                points=np.zeros((1, 2, 3), dtype=np.float32),
-                colors=rgb,
-                thickness=4.0,
-                thickness_units="screen",
-                visible=False,
-            )
+            kind: nodes.lines(api, f"/health/{kind.replace(' ', '_')}", 4.0, rgb)
             for kind, rgb in EDGES.items()
         }
         self._points = api.add_point_cloud(
@@ -109,11 +92,10 @@ class HealthDrawing:
         self._shown = True
 
     def set(self, found: Marks | None, lift: float = 0.0) -> None:
-        """Draw these marks; None: nothing.
+        """Draw marks; None: nothing.
 
         Args:
-            lift: faces are drawn so far from where they are, on both sides [m], clear of the mesh
-                as drawn.
+            lift: offset of the faces on both sides, clear of the drawn mesh [m].
         """
         self._marks = found
         if found is not None:
@@ -145,7 +127,7 @@ class HealthDrawing:
 
 
 def report(found: Health) -> str:
-    """HTML: what the mesh is, and each finding with what it means for which rule."""
+    """HTML report: facts about the mesh, and each finding with its consequence."""
 
     def number(value: float | None, scale: float, unit: str) -> str:
         return "–" if value is None else f"{value * scale:.4g} {unit}"
@@ -180,7 +162,7 @@ def report(found: Health) -> str:
 
 
 def _item(finding: Finding) -> str:
-    more = f", {MOST:,} of them drawn" if len(finding.ids) > MOST else ""
+    more = f", {MAX_DRAWN:,} of them drawn" if len(finding.ids) > MAX_DRAWN else ""
     return (
         "<div style='display:flex;gap:7px;margin-top:5px'>"
         "<span style='flex:none;width:11px;height:11px;margin-top:3px;border-radius:2px;"
@@ -191,18 +173,18 @@ def _item(finding: Finding) -> str:
     )
 
 
-def _some(ids: IntArray) -> IntArray:
-    if len(ids) <= MOST:
+def _subset(ids: IntArray) -> IntArray:
+    if len(ids) <= MAX_DRAWN:
         return ids
-    return ids[np.linspace(0, len(ids) - 1, MOST).astype(np.int64)]
+    return ids[np.linspace(0, len(ids) - 1, MAX_DRAWN).astype(np.int64)]
 
 
-def _united(ids: list[IntArray]) -> IntArray:
+def _unique(ids: list[IntArray]) -> IntArray:
     return np.unique(np.concatenate(ids)) if ids else np.empty(0, dtype=np.int64)
 
 
 def _both_sides(corners: FloatArray, lift: float) -> FloatArray:
-    """Faces (k, 3, 3) moved along their normals and against them: (2k, 3, 3)."""
+    """Faces (k, 3, 3) offset along their normals in both directions: (2k, 3, 3)."""
     a, b, c = corners.transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)

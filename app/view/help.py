@@ -1,4 +1,4 @@
-"""The help overlay: ten lines, opened by a button or a key, on the page of the one who asked."""
+"""The help overlay: ten lines, opened by a button or a key for the client that asks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import viser
 
-from app.view.escape import Escape
-from app.view.hand import Hand
+from app.view.client_input import ClientInput
+from app.view.escape import EscapeKey
 
 KEY: Final = "H"
 
@@ -41,9 +41,11 @@ LINES = (
 class Help:
     """At most one overlay on each client's page."""
 
-    def __init__(self, server: viser.ViserServer, hand: Hand, escape: Escape, order: float) -> None:
-        """`order`: where in the panel the button stands."""
-        self._open: dict[int, tuple[Any, Any]] = {}  # modal and what closes it, by client
+    def __init__(
+        self, server: viser.ViserServer, client_input: ClientInput, escape: EscapeKey, order: float
+    ) -> None:
+        """`order`: position of the button in the panel."""
+        self._open: dict[int, tuple[Any, Any]] = {}  # by client: modal, and its closing function
         button = server.gui.add_button(
             "What am I looking at?",
             icon=viser.Icon.HELP_CIRCLE,
@@ -58,14 +60,14 @@ class Help:
         @button.on_click
         async def _clicked(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
-                hand.submit(self._toggle, event.client)
+                client_input.submit(self._toggle, event.client)
 
         @command.on_trigger
         async def _triggered(event: Any) -> None:
             if event.client is not None:
-                hand.submit(self._toggle, event.client)
+                client_input.submit(self._toggle, event.client)
 
-        self._hand = hand
+        self._input = client_input
         self._escape = escape
 
     def _toggle(self, client: viser.ClientHandle) -> None:
@@ -83,7 +85,7 @@ class Help:
 
         @close.on_click
         async def _closed(_event: viser.GuiEvent[Any]) -> None:
-            self._hand.submit(shut)
+            self._input.submit(shut)
 
     def _close(self, client_id: int) -> None:
         modal, shut = self._open.pop(client_id, (None, None))

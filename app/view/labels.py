@@ -1,8 +1,8 @@
-"""The labels of the scene: whoever looks at it sees no two of them overlap.
+"""Labels in the scene, placed so that no two overlap in any client's picture.
 
-A label stands with one of its corners or edges at its point. Where that would lie on a more
-important label it takes another, and where all are taken it is not drawn. That depends on where one
-looks from, so each client has labels of its own.
+A label has one of its corners or edges at its point. Where it would overlap a more important label
+another corner or edge is tried; without room it is hidden. As this depends on the camera, each
+client has its own label nodes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import viser
 from numpy.typing import ArrayLike, NDArray
 
 from app.recording.playback import Moment
-from app.view.camera import NEAREST
+from app.view.camera import NEAR_PLANE
 from app.view.part import Clients, Part
 
 FloatArray = NDArray[np.float64]
@@ -29,9 +29,9 @@ Anchor = Literal[
     "center-left", "center-center", "center-right",
     "bottom-left", "bottom-center", "bottom-right",
 ]  # fmt: skip
-"""Which part of the label is at its point: "bottom-left" stands above it and to its right."""
+"""Part of the label at its point: a "bottom-left" label is above it and to its right."""
 
-# All labels, the most important first; it is the less important that give way.
+# All labels, most important first; the less important make room.
 IMPORTANCE = (
     "/crossing/label",
     "/fixture/blocks",
@@ -48,30 +48,30 @@ IMPORTANCE = (
     "/ruler/anatomy/label",
 )
 
-# Distances between labels [px]. A label goes only to a place that is clear, and leaves it only when
-# that is taken: it does not flicker while two of them graze each other.
-CLEAR, TAKEN = 4.0, 1.0
+# Smallest gaps to other labels [px]: at a new place, and at the place it has. The hysteresis avoids
+# flicker.
+NEW_GAP, KEPT_GAP = 4.0, 1.0
 
-EM = 12.0  # height of the letters of a label of scale 1 [px], see LabelRenderer.tsx of viser 1.1
-# viser draws in the browser's own font. These are upper bounds for those of the usual systems.
-LINE = 1.35  # height of a line, in heights of a letter
-PADDING = 0.2  # of the white behind it, in heights of a line, both sides together
+EM = 12.0  # font size at scale 1 [px], from LabelRenderer.tsx of viser 1.1
+# viser uses the browser's font. These are upper bounds for the common ones.
+LINE = 1.35  # line height [em]
+PADDING = 0.2  # of the background, both sides together, in line heights
 NARROW, WIDE = frozenset(" .,:;'|!ijl·"), frozenset("mwMW%@#&✕…—")
-WIDTHS = {"narrow": 0.36, "usual": 0.7, "wide": 1.0}  # in heights of a letter
+WIDTHS = {"narrow": 0.36, "usual": 0.7, "wide": 1.0}  # [em]
 
-PICTURE = (1280.0, 720.0)  # width and height a scene file is composed for [px]
+PICTURE = (1280.0, 720.0)  # width and height assumed for a scene file [px]
 
 
 @dataclass(eq=False)
 class Label:
-    """Words at a point of the scene. Its owner sets these; what is seen of them is `Labels`'s.
+    """A text at a point of the scene. Its owner sets the attributes, `Labels` draws it.
 
     Attributes:
-        anchor: where it stands by preference.
-        scale: of its letters.
-        text: its words, in one line.
+        anchor: the preferred one.
+        scale: of the font.
+        text: one line.
         position: its point (3,), scene units; replaced as a whole.
-        visible: whether it is to be seen where there is room for it.
+        visible: whether it is drawn if there is room.
     """
 
     anchor: Anchor
@@ -81,17 +81,17 @@ class Label:
     visible: bool = False
 
 
-class Eye(NamedTuple):
-    """How somebody looks at the scene.
+class Camera(NamedTuple):
+    """A pinhole camera.
 
     Attributes:
-        place: the camera's (3,), scene units.
+        position: (3,), scene units.
         R: its axes as columns (3, 3): right, down, forward.
         fov: vertical field of view [rad].
         width, height: of the picture [px].
     """
 
-    place: FloatArray
+    position: FloatArray
     R: FloatArray
     fov: float
     width: float
@@ -99,7 +99,7 @@ class Eye(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A rectangle in a picture [px]: y goes down."""
+    """A rectangle in a picture [px], y downwards."""
 
     left: float
     top: float
@@ -107,8 +107,8 @@ class Box(NamedTuple):
     bottom: float
 
 
-class Wanted(NamedTuple):
-    """A label to be placed: its point (u, v) in the picture and its size [px], its preference."""
+class Candidate(NamedTuple):
+    """A label to be placed: its point (u, v) and size in the picture [px], preferred anchor."""
 
     u: float
     v: float
@@ -117,29 +117,29 @@ class Wanted(NamedTuple):
     anchor: Anchor
 
 
-# By name: text, and position in scene units.
+# Text and position [scene units] by name.
 Texts = dict[str, tuple[str, tuple[float, float, float]]]
 
 
 class Labels(Part):
-    """All labels of a page. Owners `add` theirs; the view thread calls `place` each frame."""
+    """All labels of a page. Parts `add` theirs; the view thread calls `place` each frame."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._labels: dict[str, Label] = {}
-        self._sights: dict[int, _Sight] = {}  # by client
+        self._clients: dict[int, _ClientLabels] = {}
 
     def add(self, name: str, text: str = "", *, anchor: Anchor, scale: float = 0.8) -> Label:
-        """A new label, not visible yet.
+        """Make a label, not visible yet.
 
         Args:
-            name: one of `IMPORTANCE` that no other label has.
+            name: an unused one of `IMPORTANCE`.
 
         Raises:
-            ValueError: another name.
+            ValueError: for another name.
         """
         if name not in IMPORTANCE or name in self._labels:
-            raise ValueError(f"{name!r} is not in IMPORTANCE, or there already")
+            raise ValueError(f"{name!r} is not in IMPORTANCE, or is used already")
         label = Label(anchor, scale, text)
         self._labels[name] = label
         return label
@@ -148,40 +148,41 @@ class Labels(Part):
         return self._labels[name]
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Place them, when all other parts have set theirs."""
         self.place(clients)
 
     def place(self, clients: Mapping[int, viser.ClientHandle]) -> None:
-        """Show every client its labels. From the view thread, once the frame's are all set."""
-        for gone in self._sights.keys() - clients.keys():
-            del self._sights[gone]
+        """Draw each client's labels."""
+        for gone in self._clients.keys() - clients.keys():
+            del self._clients[gone]
         labels = self._wanted()
         for client_id, client in clients.items():
-            if client_id not in self._sights:
-                self._sights[client_id] = _Sight(client.scene, self._labels)
+            if client_id not in self._clients:
+                self._clients[client_id] = _ClientLabels(client.scene, self._labels)
             camera = client.camera
             picture = camera.image_width, camera.image_height
-            eye = Eye(camera.position, _axes(camera.wxyz), camera.fov, *picture)
+            eye = Camera(camera.position, _axes(camera.wxyz), camera.fov, *picture)
             with client.atomic():
-                self._sights[client_id].show(labels, eye)
+                self._clients[client_id].show(labels, eye)
 
     @contextmanager
     def in_scene(self) -> Iterator[None]:
-        """Meanwhile the labels are part of the scene that all clients share, to be written to a
-        file; as they are seen from where new clients look. Nobody's own labels change by that."""
+        """Context in which the shared scene has labels, for a scene file.
+
+        They are placed for the camera of new clients; the clients' own labels do not change.
+        """
         camera = self._server.initial_camera
-        place = np.asarray(camera.position, dtype=np.float64)
-        axes = _looking(place, camera.look_at)
-        eye = Eye(place, axes, float(camera.fov), *PICTURE)
-        sight = _Sight(self._server.scene, self._labels)
+        position = np.asarray(camera.position, dtype=np.float64)
+        axes = _look_at(position, camera.look_at)
+        eye = Camera(position, axes, float(camera.fov), *PICTURE)
+        shared = _ClientLabels(self._server.scene, self._labels)
         try:
-            sight.show(self._wanted(), eye)
+            shared.show(self._wanted(), eye)
             yield
         finally:
-            sight.remove()
+            shared.remove()
 
     def _wanted(self) -> Texts:
-        """The labels that are to be seen, the most important first."""
+        """The visible labels, most important first."""
         wanted: Texts = {}
         for name in IMPORTANCE:
             label = self._labels.get(name)
@@ -192,17 +193,17 @@ class Labels(Part):
 
 
 @dataclass
-class _Sight:
-    """The labels that one client is shown; or all of them, where it is the shared scene."""
+class _ClientLabels:
+    """The label nodes of one client, or of the shared scene."""
 
     api: viser.SceneApi
     labels: Mapping[str, Label]
     anchors: dict[str, Anchor | None] = field(default_factory=dict)
-    """Where the labels were placed last."""
+    """By name, as placed last."""
 
     def __post_init__(self) -> None:
         self._last: tuple[object, ...] = ()
-        # A client's own node takes the place of a shared one of that name: all are made at once.
+        # All at once: a client's node hides the shared one of that name, which `in_scene` makes.
         self._nodes = {
             name: self.api.add_label(
                 _node(name),
@@ -214,9 +215,9 @@ class _Sight:
             for name, label in self.labels.items()
         }
 
-    def show(self, labels: Texts, eye: Eye) -> None:
-        """Place these labels as seen by an eye, and show those that there is room for."""
-        now = (labels, eye.place.tobytes(), eye.R.tobytes(), *eye[2:])
+    def show(self, labels: Texts, eye: Camera) -> None:
+        """Place labels for a camera and draw those with room."""
+        now = (labels, eye.position.tobytes(), eye.R.tobytes(), *eye[2:])
         if now == self._last:
             return
         self._last = now
@@ -227,7 +228,7 @@ class _Sight:
         for (name, (text, _)), (u, v), seen in rows:
             if seen:
                 label = self.labels[name]
-                wanted[name] = Wanted(u, v, *size(text, label.scale), label.anchor)
+                wanted[name] = Candidate(u, v, *size(text, label.scale), label.anchor)
         self.anchors = arrange(wanted, self.anchors)
         for name, node in self._nodes.items():
             anchor = self.anchors.get(name)
@@ -237,19 +238,19 @@ class _Sight:
             node.visible = anchor is not None
 
     def remove(self) -> None:
-        """Take them out of the scene."""
+        """Remove the nodes."""
         for node in self._nodes.values():
             node.remove()
 
 
 def arrange(
-    wanted: Mapping[str, Wanted], last: Mapping[str, Anchor | None]
+    wanted: Mapping[str, Candidate], last: Mapping[str, Anchor | None]
 ) -> dict[str, Anchor | None]:
-    """An anchor for each label so that no two overlap; None: there is no room for it.
+    """An anchor for each label so that no two overlap; None: no room.
 
     Args:
-        wanted: by name, the most important first.
-        last: where they were placed before.
+        wanted: by name, most important first.
+        last: the result before.
     """
     taken: list[Box] = []
     placed: dict[str, Anchor | None] = {}
@@ -257,8 +258,8 @@ def arrange(
         placed[name] = None
         for anchor in choices(label.anchor):
             it = box(label, anchor)
-            gap = TAKEN if last.get(name) == anchor else CLEAR
-            if not any(_near(it, other, gap) for other in taken):
+            gap = KEPT_GAP if last.get(name) == anchor else NEW_GAP
+            if not any(_overlap(it, other, gap) for other in taken):
                 placed[name] = anchor
                 taken.append(it)
                 break
@@ -266,13 +267,13 @@ def arrange(
 
 
 def choices(anchor: Anchor) -> tuple[Anchor, ...]:
-    """The anchors of a label in the order they are tried: as preferred, then with another corner
-    at the point, the one across last, then with the middle of an edge."""
+    """The anchors in the order they are tried: the preferred one, corners (the opposite one last),
+    middles of edges."""
     return _CHOICES[anchor]
 
 
-def box(label: Wanted, anchor: Anchor) -> Box:
-    """The rectangle of a label with that anchor at its point."""
+def box(label: Candidate, anchor: Anchor) -> Box:
+    """The rectangle of a label with an anchor."""
     vertical, horizontal = anchor.split("-")
     left = label.u - _SHARES[horizontal] * label.width
     top = label.v - _SHARES[vertical] * label.height
@@ -281,19 +282,19 @@ def box(label: Wanted, anchor: Anchor) -> Box:
 
 @functools.lru_cache(maxsize=64)
 def size(text: str, scale: float) -> tuple[float, float]:
-    """Width and height of a label with its white background [px]: upper bounds."""
+    """Upper bounds of width and height of a label with its background [px]."""
     letter = EM * scale
     width = sum(WIDTHS["narrow" if c in NARROW else "wide" if c in WIDE else "usual"] for c in text)
     return letter * (width + PADDING * LINE), letter * LINE * (1.0 + PADDING)
 
 
-def project(points: FloatArray, eye: Eye) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where points (n, 3), scene units, are in a picture (n, 2) [px], and which the eye is before.
+def project(points: FloatArray, eye: Camera) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Pixels (n, 2) of points (n, 3), scene units, and which points are in front of the camera.
 
-    The others, behind the eye or beside it, have no place in the picture: theirs means nothing.
+    The pixels of the other points are meaningless.
     """
-    right, down, forward = ((points - eye.place) @ eye.R).T
-    in_front = forward > NEAREST
+    right, down, forward = ((points - eye.position) @ eye.R).T
+    in_front = forward > NEAR_PLANE
     focal = 0.5 * eye.height / np.tan(0.5 * eye.fov)
     scale = focal / np.where(in_front, forward, 1.0)
     middle = 0.5 * np.array([eye.width, eye.height])
@@ -314,7 +315,7 @@ _CHOICES: dict[Anchor, tuple[Anchor, ...]] = {a: _choices(a) for a in get_args(A
 _SHARES = {"left": 0.0, "top": 0.0, "center": 0.5, "right": 1.0, "bottom": 1.0}
 
 
-def _near(a: Box, b: Box, gap: float) -> bool:
+def _overlap(a: Box, b: Box, gap: float) -> bool:
     return (
         a.left < b.right + gap
         and b.left < a.right + gap
@@ -324,7 +325,7 @@ def _near(a: Box, b: Box, gap: float) -> bool:
 
 
 def _node(name: str) -> str:
-    """Side by side in the scene: nested names would make nodes for all that is between."""
+    """Name of a node without further slashes, which would make intermediate nodes."""
     return f"/labels/{name[1:].replace('/', ' ')}"
 
 
@@ -334,8 +335,8 @@ def _axes(wxyz: FloatArray) -> FloatArray:
     return np.asarray(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
 
 
-def _looking(place: FloatArray, look_at: ArrayLike) -> FloatArray:
-    """The axes (3, 3) of a camera that looks from one place to another, level."""
+def _look_at(place: FloatArray, look_at: ArrayLike) -> FloatArray:
+    """The axes (3, 3) of a level camera that looks from one point to another."""
     forward = np.asarray(look_at, dtype=np.float64) - place
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

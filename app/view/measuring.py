@@ -1,4 +1,4 @@
-"""What the view measures between two read-outs."""
+"""Measurements of the view between two read-outs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from app.view.readouts import Extras
 
 
 class Measuring:
-    """Called from the view thread, once for each read-out."""
+    """Called from the view thread, once per read-out."""
 
     def __init__(self) -> None:
         self._newest: Telemetry | None = None
@@ -24,10 +24,7 @@ class Measuring:
         self._tip_before: NDArray[np.float64] | None = None
 
     def measure(self, shown: Moment, unwatched: int) -> Extras:
-        """What there is to say of this moment besides its telemetry.
-
-        `unwatched`: ticks that nobody tested for a crossing.
-        """
+        """Measure one moment; `unwatched`: ticks that were not tested for a crossing."""
         scene, telemetry = shown.scene, shown.telemetry
         step = telemetry.step
         in_sphere, speed = 0, 0.0
@@ -44,7 +41,7 @@ class Measuring:
                     speed = float(np.linalg.norm(p_tip - self._tip_before)) / elapsed
             self._before, self._tip_before = telemetry, p_tip
         now = time.monotonic()
-        if telemetry is not self._newest:  # also a paused loop says something each tick
+        if telemetry is not self._newest:  # a paused loop, too, sends new telemetry
             self._newest, self._newest_since = telemetry, now
         self._count += 1
         joints = tuple(scene.arm.joints)

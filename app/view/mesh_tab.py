@@ -1,4 +1,4 @@
-"""A tab about the mesh: bring one's own, see what is wrong with it and where, have it mended."""
+"""Tab "Mesh": upload a mesh, examine it, show its defects, repair or flip it."""
 
 from __future__ import annotations
 
@@ -34,24 +34,23 @@ NONE = "–"
 
 
 class MeshTab(Part):
-    """Upload, health report with its problems drawn on the mesh, repair and flip.
+    """Upload, health report with the defects drawn on the mesh, repair and flip.
 
-    Everything slow runs in a thread of its own; the old mesh stays until the new one is ready, and
-    for good if that fails. What brings another mesh is the session's work; examining is not, and
-    does not keep anybody from changing the mesh meanwhile.
+    Whatever is slow runs on a thread of its own; the old mesh stays if it fails. Changing the mesh
+    is the session's work, one at a time; examining is not, so the mesh can be changed meanwhile.
     """
 
     def __init__(self, context: PageContext) -> None:
         self._session = context.session
-        self._tell = context.tell
+        self._notify = context.notify
         self._escape = context.escape
         self._drawing = health.HealthDrawing(context.server.scene)
         self._examining = threading.Lock()
-        self._scene: Scene | None = None  # what is drawn
-        # The scene that the report is on, the report and its marks.
+        self._scene: Scene | None = None  # drawn
+        # The examined scene, its report, marks and lift.
         self._examined: tuple[Scene, str, health.Marks, float] | None = None
         self._library = context.library
-        self._screen = context.screen
+        self._source = context.source
         server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
         with context.left.add_tab("Mesh"):
@@ -62,14 +61,14 @@ class MeshTab(Part):
                 icon=viser.Icon.UPLOAD,
             )
             self._state = server.gui.add_html("")
-            self._halt = server.gui.add_button(
-                "Stop", hint="Give up the work on the mesh: nothing is changed.", disabled=True
+            self._stop = server.gui.add_button(
+                "Stop", hint="Stop the work on the mesh; nothing is changed.", disabled=True
             )
             self._files: Any = server.gui.add_dropdown(
                 "Kept files",
                 (NONE,),
                 initial_value=NONE,
-                hint="Meshes that were brought, also before a restart. The list Mesh has them all.",
+                hint="Uploaded meshes, also from before a restart. The list Mesh has all of them.",
             )
             self._delete = server.gui.add_button(
                 "Delete mesh file", icon=viser.Icon.TRASH, color="gray"
@@ -81,13 +80,14 @@ class MeshTab(Part):
             self._report = server.gui.add_html("")
             self._repair = server.gui.add_button(
                 "Repair",
-                hint="Weld, drop what is no face, turn what is wound wrongly. Nothing is moved and "
-                "no hole is filled.",
+                hint="Weld vertices, remove degenerate faces, correct the winding. No vertex is "
+                "moved, no hole filled.",
             )
             self._flip = server.gui.add_button(
-                "Flip", hint="Turn open sheets over: they have no outside to be known by."
+                "Flip",
+                hint="Reverse the winding of open sheets: their outside is not known.",
             )
-        context.uploads.take(
+        context.uploads.register(
             self._upload,
             Receiver(
                 meshes.FORMATS,
@@ -95,31 +95,31 @@ class MeshTab(Part):
                 "start the sandbox with --upload-limit to allow more",
                 self._library.coming,
                 self._library.refusal,
-                self._ask,
+                self._ask_unit,
             ),
         )
-        self._say("")
-        self._offer()
+        self._set_state("")
+        self._update_buttons()
 
-        # Plain functions: viser runs them in its pool, where they may take their time.
+        # Plain functions: viser runs them in its thread pool, so they may block.
         @self._examine.on_click
         def _examine(event: viser.GuiEvent[Any]) -> None:
             if self._examining.locked():
-                self._tell(event.client, "The mesh is being examined: wait until that is done.")
+                self._notify(event.client, "The mesh is being examined: wait until that is done.")
             else:
-                self._try(event.client, lambda: self._look(self._session.scene))
+                self._run(event.client, lambda: self._run_examination(self._session.scene))
 
         @self._repair.on_click
         def _repair(event: viser.GuiEvent[Any]) -> None:
-            self._try(event.client, lambda: self._change(repair=True))
+            self._run(event.client, lambda: self._change(repair=True))
 
         @self._flip.on_click
         def _flip(event: viser.GuiEvent[Any]) -> None:
             flip = not self._session.options.flip
-            self._try(event.client, lambda: self._change(flip=flip))
+            self._run(event.client, lambda: self._change(flip=flip))
 
-        @self._halt.on_click
-        def _halt(_event: viser.GuiEvent[Any]) -> None:
+        @self._stop.on_click
+        def _stop(_event: viser.GuiEvent[Any]) -> None:
             self._session.work.stop()
 
         @self._delete.on_click
@@ -132,21 +132,20 @@ class MeshTab(Part):
             self._drawing.show(bool(event.target.value))
 
     def set_scene(self, scene: Scene) -> None:
-        """The report on another mesh is no longer true; that on the session's is kept for it."""
+        """Drop the report of another mesh; during a replay the session's is kept."""
         self._scene = scene
-        if self._screen.live and self._examined and self._examined[0].version != scene.version:
+        if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
         self._show_report()
 
     def read_out(self, shown: Moment) -> None:
-        """What is kept, and what can be done just now."""
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):
             value = self._files.value if self._files.value in names else names[0]
             self._files.options = names
             self._files.value = value
         self._files.visible = self._delete.visible = names != (NONE,)
-        self._offer()
+        self._update_buttons()
 
     def _ask_to_delete(self, client: viser.ClientHandle) -> None:
         file = _labels(self._library.kept()).get(self._files.value)
@@ -165,22 +164,22 @@ class MeshTab(Part):
             try:
                 self._library.delete(file.name, self._session.options.mesh)
             except OSError as error:
-                self._tell(client, f"Not deleted: {error.strerror or error}.")
+                self._notify(client, f"Not deleted: {error.strerror or error}.")
             except ValueError as error:
-                self._tell(client, f"Not deleted: {error}.")
+                self._notify(client, f"Not deleted: {error}.")
 
         dialogs.ask(
             client, self._escape, "Delete the mesh file?", text, "Delete", delete, color="red"
         )
 
-    def _ask(self, client: viser.ClientHandle, path: Path) -> None:
-        """Ask the one who sent a file for what it does not say, then use it."""
+    def _ask_unit(self, client: viser.ClientHandle, path: Path) -> None:
+        """Ask the client for unit and orientation of an uploaded file, then use it."""
         found: list[tuple[float, str | None]] = []
-        self._try(client, lambda: found.append(self._measured(path)), path.name)
+        self._run(client, lambda: found.append(self._measured(path)), path.name)
         if not found:
             shutil.rmtree(path.parent, ignore_errors=True)
             return
-        across, said = found[0]
+        diagonal, stated = found[0]
         length = path.stat().st_size
         form = (meshes.kind(path.name) or "").upper()
         dialog = client.gui.add_modal("In which unit is this mesh?")
@@ -189,15 +188,15 @@ class MeshTab(Part):
                 f"<div style='{_STYLE}'><b>{html.escape(path.name)}</b>, {size(length)}. "
                 + (
                     "It says its unit; choose another if that is wrong."
-                    if said
+                    if stated
                     else f"This {form} file does not say its unit: choose the size that it has."
                 )
                 + " Choose the side first if another than z is to face the tool.</div>"
             )
-            # First: a dropdown that is opened with the focus would hide what is below it.
+            # Buttons first: they get the focus, with which a dropdown would open over the rest.
             choices = {
                 unit: client.gui.add_button(words)
-                for unit, words in choices_of(across, said).items()
+                for unit, words in choices_of(diagonal, stated).items()
             }
             up = client.gui.add_dropdown(
                 "Side facing the tool",
@@ -217,7 +216,7 @@ class MeshTab(Part):
             facing = str(up.value)
             self._escape.closed(client.client_id, drop)
             if dialogs.close(dialog):
-                self._try(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
+                self._run(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
 
         for unit, button in choices.items():
             button.on_click(functools.partial(choose, unit))
@@ -227,27 +226,27 @@ class MeshTab(Part):
             self._escape.closed(client.client_id, drop)
             drop()
 
-    def _try(
+    def _run(
         self, client: viser.ClientHandle | None, job: Callable[[], None], about: str = ""
     ) -> None:
-        """Do one slow thing; whatever comes of it, the page goes on."""
+        """Run one job and report its errors."""
         try:
             job()
-            self._say("")
-        except Refused as error:  # other work is under way, which the line above is about
-            self._tell(client, f"Nothing is changed: {error}")
+            self._set_state("")
+        except Refused as error:  # the state line shows the other work
+            self._notify(client, f"Nothing is changed: {error}")
         except Exception as error:
-            # Whatever a reader of a user's file may raise, the old mesh stays.
-            self._say(f"{about}: not taken. {error}".removeprefix(": "), palette.VERMILION)
-            self._tell(client, f"Nothing is changed: {error}")
+            # The reader of a user's file may raise anything.
+            self._set_state(f"{about}: not taken. {error}".removeprefix(": "), palette.VERMILION)
+            self._notify(client, f"Nothing is changed: {error}")
         finally:
-            self._offer()
+            self._update_buttons()
 
     def _measured(self, path: Path) -> tuple[float, str | None]:
-        """The file's diagonal in its own unit, and that unit if it says it."""
+        """The mesh's diagonal in the unit of the file, and that unit if the file states it."""
         work = functools.partial(measure, str(path))
         with self._session.work.begin() as stop:
-            self._offer()
+            self._update_buttons()
             if worker.light(str(path)):
                 return work(progress=self._progress)
             allowed = worker.allowance(str(path))
@@ -255,13 +254,13 @@ class MeshTab(Part):
             return found
 
     def _keep(self, path: Path, **wanted: Any) -> None:
-        """Use a file that has arrived, and keep it if it can be used."""
+        """Add an uploaded file to the library and use it; remove it if that fails."""
         before = {file.name for file in self._library.kept()}
         kept = self._library.add(path)
         try:
             self._change(mesh=str(kept), **wanted)
         except Refused:
-            raise  # nothing is wrong with the file: it can be chosen later
+            raise  # the file itself may be valid
         except Exception:
             if kept.name not in before:
                 self._library.delete(kept.name, self._session.options.mesh)
@@ -269,20 +268,20 @@ class MeshTab(Part):
 
     def _change(self, **wanted: Any) -> None:
         with self._session.work.begin() as stop:
-            self._offer()
+            self._update_buttons()
             scene = self._session.change(**wanted, progress=self._progress, stop=stop)
-        self._look(scene)
+        self._run_examination(scene)
 
-    def _look(self, scene: Scene) -> None:
-        """Examine a scene's mesh and show what is found."""
+    def _run_examination(self, scene: Scene) -> None:
+        """Examine a scene's mesh and show the report."""
         with self._examining:
-            self._offer()
+            self._update_buttons()
             found = meshes.health(
                 scene.surface, progress=lambda stage: self._progress(f"examining: {stage}")
             )
         if scene is not self._session.scene:
             return
-        # Clear of the mesh as drawn, which for large ones is a thinned copy.
+        # Clear of the drawn mesh, which may be decimated.
         lift = 0.04 * scene.surface.median_edge + (1e-3 * scene.surface.size) * scene.decimated
         self._examined = (
             scene,
@@ -290,11 +289,11 @@ class MeshTab(Part):
             health.marks(found, scene.surface),
             lift,
         )
-        if self._screen.live:
+        if self._source.live:
             self._show_report(scene)
 
     def _show_report(self, scene: Scene | None = None) -> None:
-        """The report and the marks of a scene, if it is examined; None: of what is drawn."""
+        """Show report and marks of a scene, if it is examined; None: of the drawn one."""
         scene = scene or self._scene
         if (
             scene is not None
@@ -307,22 +306,22 @@ class MeshTab(Part):
             self._report.content = _UNKNOWN
             self._drawing.set(None)
 
-    def _offer(self) -> None:
-        going, live = self._session.work.going, self._screen.live
+    def _update_buttons(self) -> None:
+        going, live = self._session.work.going, self._source.live
         busy = going or self._examining.locked() or not live
         self._upload.disabled = not live
         repaired = self._session.options.repair
         self._examine.disabled = self._flip.disabled = busy
-        self._halt.disabled = not going
+        self._stop.disabled = not going
         self._repair.disabled = busy or repaired
         self._repair.label = "Repaired" if repaired else "Repair"
         self._flip.label = "Flip back" if self._session.options.flip else "Flip"
 
     def _progress(self, text: str) -> None:
-        self._say(f"⏳ {text} …", palette.BLUE)
+        self._set_state(f"⏳ {text} …", palette.BLUE)
 
-    def _say(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
-        # As high with text as without: what comes and goes moves no button from under the mouse.
+    def _set_state(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
+        # Of fixed height, so that the buttons below keep their place.
         style = f"{_STYLE};height:2.7em;overflow-y:auto;color:{palette.css(color)}"
         content = f"<div style='{style}'>{html.escape(text)}</div>"
         if self._state.content != content:
@@ -330,5 +329,5 @@ class MeshTab(Part):
 
 
 def _labels(kept: list[Kept]) -> dict[str, Kept]:
-    """The files by what they are called in the list."""
+    """The files by their text in the list."""
     return {f"{file.name} ({size(file.size)})": file for file in kept}

@@ -1,11 +1,10 @@
-// Runs in every browser before viser's own client does; `app/view/script.py` puts it into the page.
+// Runs in every browser before viser's client; `app/view/script.py` inserts it into the page.
 (() => {
   "use strict";
 
-  // Without a graphics card the processor draws. Smoothing every edge then costs half of all the
-  // time that a picture takes, so those browsers do without.
+  // Without a graphics card antialiasing takes half of the rendering time: switch it off.
   const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-  const draws_in_software = () => {
+  const renders_in_software = () => {
     const gl = document.createElement("canvas").getContext("webgl2");
     if (gl === null) return false;
     const named = gl.getExtension("WEBGL_debug_renderer_info");
@@ -13,16 +12,16 @@
     gl.getExtension("WEBGL_lose_context")?.loseContext();
     return SOFTWARE.test(name);
   };
-  if (draws_in_software()) {
-    const theirs = HTMLCanvasElement.prototype.getContext;
+  if (renders_in_software()) {
+    const original = HTMLCanvasElement.prototype.getContext;
     HTMLCanvasElement.prototype.getContext = function (kind, wanted) {
       if (String(kind).startsWith("webgl")) wanted = { ...wanted, antialias: false };
-      return theirs.call(this, kind, wanted);
+      return original.call(this, kind, wanted);
     };
   }
 
-  // A camera is told with the size of its picture in the page's pixels, which is what labels are
-  // sized in; viser's client tells that of its canvas, in pixels of some other size.
+  // Report the picture's size in CSS pixels, the unit of the labels; viser's client reports the
+  // canvas's device pixels.
   const post = Worker.prototype.postMessage;
   Worker.prototype.postMessage = function (data, ...more) {
     const canvas = document.querySelector("canvas[data-engine]");
@@ -33,9 +32,9 @@
     return post.call(this, data, ...more);
   };
 
-  // Keys act whatever has the focus but a field that is written in. viser's client does not hear
-  // keys while any input has the focus, a checkbox or a chosen option among them.
-  const OWN = new Set(["Tab", "Enter", " ", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight",
+  // viser's client ignores keys while any input has the focus, even a checkbox. Pass them on, unless
+  // the input is a text field.
+  const NOT_PASSED = new Set(["Tab", "Enter", " ", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight",
     "Home", "End", "PageUp", "PageDown", "Shift", "Control", "Alt", "Meta"]);
   const is_text = (element) =>
     element instanceof HTMLInputElement
@@ -45,20 +44,20 @@
     const at = event.target;
     if (!event.isTrusted || !(at instanceof HTMLElement)) return;
     if (event.type === "keydown" && event.key === "Escape" && is_text(at)) at.blur();
-    if (!(at instanceof HTMLInputElement) || is_text(at) || OWN.has(event.key)) return;
+    if (!(at instanceof HTMLInputElement) || is_text(at) || NOT_PASSED.has(event.key)) return;
     event.stopImmediatePropagation();
     event.preventDefault();
     document.body.dispatchEvent(new KeyboardEvent(event.type, event));
   };
   addEventListener("keydown", pass_on, true);
   addEventListener("keyup", pass_on, true);
-  // A dropdown is searched by typing, so it is a text field until something is chosen in it.
+  // A dropdown is a text field for its search: remove the focus once an option is chosen.
   addEventListener("click", (event) => {
     if (event.target instanceof Element && event.target.closest("[role=option]"))
       setTimeout(() => document.activeElement?.blur(), 0);
   });
 
-  // A number field that is left empty shows its value again: viser's client tells nobody about it.
+  // Restore the value of a number field that is left empty: viser's client sends no message then.
   let entered = null;
   addEventListener("focusin", (event) => {
     const at = event.target;

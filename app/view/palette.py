@@ -1,7 +1,7 @@
-"""Colours and words for what the page shows, each in one place.
+"""Colours and short texts of the page, each defined once.
 
-The colours are Okabe and Ito's, which people with any of the common colour blindnesses can tell
-apart (jfly.uni-koeln.de/color).
+The colours are from Okabe and Ito's palette, which is distinct with any of the common colour
+blindnesses (jfly.uni-koeln.de/color).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ALARM: Rgb = (200, 0, 30)  # the tip crossed the mesh
 
 @dataclass(frozen=True)
 class Look:
-    """How planes of one rule are drawn and called."""
+    """Colour, name and explanation of a kind of plane or triangle."""
 
     color: Rgb
     name: str
@@ -59,7 +59,7 @@ LOOKS: dict[vf.Rule, Look] = {
 
 
 class TriangleState(Enum):
-    """What the inspector says of a triangle in the motion sphere, by a colour."""
+    """The inspector's classes of triangles in the motion sphere."""
 
     FACE = "condition 1"
     RIDGE = "condition 2"
@@ -109,16 +109,16 @@ SOLVER_HELP: dict[Solver, str] = {
 
 
 def tinted(color: Rgb, strength: float) -> Rgb:
-    """The colour mixed with white: strength 1 is the colour itself, 0 a pale one."""
+    """The colour mixed with white: strength 1 is the colour itself, 0 has 35 % of it."""
     share = 0.35 + 0.65 * min(max(strength, 0.0), 1.0)
     red, green, blue = (round(share * c + (1.0 - share) * 255) for c in color)
     return red, green, blue
 
 
 def linear(colors: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Colours (…, 3) of sRGB as intensities: what viser takes where each piece has its own colour.
+    """sRGB colours (…, 3) as linear intensities.
 
-    Instances of a batch and line segments want these; one colour for a whole node is sRGB.
+    viser takes these for instances of a batch and for line segments; a node's colour is sRGB.
     """
     return np.asarray(255.0 * (colors / 255.0) ** 2.2).round().astype(np.uint8)
 

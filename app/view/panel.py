@@ -1,4 +1,4 @@
-"""The panel: everything the operator can set. Values are checked here and by the session."""
+"""The right-hand panel: all settings. The session checks their values."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from app.scene.library import Library
 from app.session import Session
 from app.settings import DECLARED, number
 from app.view import palette, style
-from app.view.escape import Escape
+from app.view.client_input import ClientInput, Notify
+from app.view.escape import EscapeKey
 from app.view.fields import NumberField, show
-from app.view.hand import Hand, Tell
 from app.view.help import Help
 from app.view.keys import STEPS
 from app.view.part import Part
-from app.view.screen import Screen
+from app.view.source import Source
 
 RADII: dict[str, float | None] = {
     "auto": None,
@@ -37,8 +37,8 @@ RADII: dict[str, float | None] = {
 }
 CUSTOM = "other"
 
-# Places of the first lines of the panel; everything else comes behind, in the order it is made.
-_TITLE_LINE, WHO, BANNER, _HELP_LINE = -4.0, -3.0, -2.0, -1.0
+# Order of the first lines of the panel; all other controls follow in the order of creation.
+_TITLE_LINE, CLIENTS, BANNER, _HELP_LINE = -4.0, -3.0, -2.0, -1.0
 
 _TITLE = (
     "<div class='vf-title' style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;"
@@ -49,34 +49,34 @@ _NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:var(--vf-fai
 
 
 class Panel(Part):
-    """The right-hand panel. `sync` brings it in line with what the session really does."""
+    """The right-hand panel; `sync` shows the values in force."""
 
     def __init__(
         self,
         server: viser.ViserServer,
         session: Session,
-        hand: Hand,
-        tell: Tell,
-        escape: Escape,
+        client_input: ClientInput,
+        notify: Notify,
+        escape: EscapeKey,
         views: Callable[[], object],
-        screen: Screen,
+        source: Source,
         library: Library,
     ) -> None:
-        """`views` adds the folder of views where it belongs."""
+        """`views` adds the folder "View"; it is called when that is next in the panel."""
         self._gui = server.gui
         self._server = server
         self._session = session
-        self._hand = hand
-        self._tell = tell
-        self._screen = screen
+        self._input = client_input
+        self._notify = notify
+        self._source = source
         self._library = library
-        self._settings: list[Any] = []  # controls that set the session's values
-        self._groups: list[Any] = []  # which cannot be disabled
+        self._settings: list[Any] = []  # controls of options, disabled during a replay
+        self._groups: list[Any] = []  # button groups, hidden then: viser cannot disable them
         self._fields: list[NumberField] = []
-        self._note: str | None = None
+        self._note: str | None = None  # as shown; None: something else is
         self._autopilot_asked = 0.0  # monotonic time [s]
         self._gui.add_html(style.sheet() + _TITLE, order=_TITLE_LINE)
-        Help(server, hand, escape, _HELP_LINE)
+        Help(server, client_input, escape, _HELP_LINE)
         self._drive_controls()
         self._fixture_controls()
         self._scene_controls()
@@ -85,15 +85,11 @@ class Panel(Part):
         self.sync()
 
     def read_out(self, shown: Moment) -> None:
-        """Show what is set by now."""
         self.sync()
 
     def sync(self) -> None:
-        """Show the values of what is on the screen in every control that shows another one.
-
-        While that is a replay they cannot be changed.
-        """
-        live, shown = self._screen.live, self._shown()
+        """Update every control that differs from the value in force; disable them in a replay."""
+        live, shown = self._source.live, self._shown()
         options, telemetry = shown.options, shown.telemetry
         building = self._session.work.going
         for control in self._settings:
@@ -126,8 +122,8 @@ class Panel(Part):
             self._scene_note.content = note
 
     def _shown(self) -> Moment:
-        """What is on the screen, as it is by now."""
-        return self._screen.now() if self._screen.live else self._screen.shown
+        """The newest state of the session, or the replay's moment that was drawn last."""
+        return self._source.now() if self._source.live else self._source.shown
 
     def _drive_controls(self) -> None:
         session = self._session
@@ -149,7 +145,8 @@ class Panel(Part):
         self._autopilot = self._gui.add_checkbox(
             "Autopilot",
             False,
-            hint="A scripted hand pokes and slides over the surface. Grab the gizmo to take over.",
+            hint="A scripted proxy pushes into the surface and slides over it. Grab the gizmo to "
+            "take over.",
         )
         self._bind(self._autopilot, self._take_autopilot)
 
@@ -189,7 +186,7 @@ class Panel(Part):
             self._scene_note = self._gui.add_html("")
         self._settings += [self._mesh, self._robot]
 
-        # The choice is read at once: until the change has begun, `sync` may put the control back.
+        # The value is read here, since `sync` may reset the control before the change has begun.
         @self._mesh.on_update
         async def _mesh(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
@@ -226,10 +223,10 @@ class Panel(Part):
         async def _clicked(event: viser.GuiEvent[Any]) -> None:
             order = orders.get(str(event.target.value))
             if order is not None:
-                self._hand.submit(lambda _client: order(), event.client)
+                self._input.submit(lambda _client: order(), event.client)
 
     def _number(self, label: str, name: str, step: float) -> viser.GuiNumberHandle[float]:
-        """A field for an option that is a number; `step` is in the unit that the page shows."""
+        """A field for a number option; `step` in the unit on the page."""
         kind = number(name)
 
         def shown() -> float | None:
@@ -251,8 +248,8 @@ class Panel(Part):
             NumberField(
                 control,
                 limits,
-                self._hand,
-                self._tell,
+                self._input,
+                self._notify,
                 lambda typed: self._session.set(**{name: typed / kind.shown}),
                 shown,
             )
@@ -260,22 +257,21 @@ class Panel(Part):
         return control
 
     def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
-        """Hand a control's value to the session; then show what the session made of it."""
-
+        """Pass a control's new value to `take`, then show the value in force."""
         self._settings.append(control)
 
         def order(client: viser.ClientHandle, value: Any) -> None:
             try:
                 take(value)
             except (ValueError, TypeError, OverflowError) as error:
-                self._tell(client, f"{error}")
+                self._notify(client, f"{error}")
             finally:
                 self.sync()
 
         @control.on_update
         async def _updated(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: we set it ourselves
-                self._hand.submit(order, event.client, event.target.value)
+            if event.client is not None:  # None: set by this program
+                self._input.submit(order, event.client, event.target.value)
 
     def _take_autopilot(self, value: object) -> None:
         self._autopilot_asked = time.monotonic()
@@ -290,7 +286,7 @@ class Panel(Part):
             self._session.set(radius=float(self._radius.value) * 1e-3)
 
     def _begin_change(self, client: viser.ClientHandle, wanted: dict[str, Any]) -> None:
-        """Another mesh or robot, in a thread of its own; the page goes on meanwhile."""
+        """Change mesh or robot on a thread of its own."""
         threading.Thread(
             target=self._change, args=(client, wanted), name="change", daemon=True
         ).start()
@@ -302,14 +298,14 @@ class Panel(Part):
                 self._note = None
                 self._session.change(**wanted, progress=self._progress, stop=stop)
         except Exception as error:
-            # Whatever a reader of a user's file may raise, the page and the old scene go on.
-            self._tell(client, f"Not changed: {error}")
+            # The reader of a user's file may raise anything; the old scene stays.
+            self._notify(client, f"Not changed: {error}")
         finally:
             try:
                 self.sync()
             except RuntimeError:
                 if not self._server.get_event_loop().is_closed():
-                    raise  # else the page was closed meanwhile
+                    raise  # otherwise: the page is closed
 
     def _progress(self, text: str) -> None:
         self._scene_note.content = (
@@ -326,7 +322,7 @@ def _preset(radius: float | None) -> str:
 
 
 def _note(text: str, lines: int) -> str:
-    """A text that takes up so many lines, whatever it says, and so moves no button."""
+    """A text in a box of fixed height, so that the controls below keep their place."""
     height = f"height:{1.3 * lines:g}em;overflow-y:auto"
     return f"<div style='{_NOTE};{height}'>{html.escape(text)}</div>"
 

@@ -1,4 +1,4 @@
-"""A part of the page: what follows the scene, the ticks or the read-outs."""
+"""Interface of the parts of the page."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ Clients = dict[int, viser.ClientHandle]
 
 
 class Part:
-    """One of the parts that `app.view.page` lists. All calls come from the view thread.
+    """A part of the page, listed in `app.view.page`. All calls come from the view thread.
 
-    What a part has no use for it leaves out.
+    A part overrides the methods that it needs.
     """
 
     def set_scene(self, scene: Scene) -> None:
-        """Another mesh or robot is about to be drawn; called once at the start as well."""
+        """Called with the first scene, and whenever the mesh or robot has changed."""
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Some 25 times a second while somebody watches, inside `server.atomic()`.
+        """Called about 25 times a second while a client is connected, inside `server.atomic()`.
 
         Args:
-            shown: the session's newest tick, or a replay's; of the scene that is drawn.
-            clients: those who look on, by their numbers.
+            shown: the newest tick of the session or of a replay; of the scene that is drawn.
+            clients: the connected clients by number.
         """
 
     def read_out(self, shown: Moment) -> None:
-        """Up to 4 times a second while somebody watches, inside `server.atomic()`."""
+        """Called up to 4 times a second while a client is connected, inside `server.atomic()`."""

@@ -1,4 +1,4 @@
-"""The left-hand panel, and the line that tells the state: numbers, and what the colours mean."""
+"""The left-hand panel with read-outs and legend, and the banner."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from app.session import Session
 from app.view import readouts
 from app.view.measuring import Measuring
 from app.view.part import Part
-from app.view.screen import Screen
+from app.view.source import Source
 
 
 class ReadoutPanel(Part):
-    """Tabs with the read-outs and the legend; other parts add theirs to `panel`."""
+    """Tabs with the read-outs and the legend; other parts add tabs to `panel`."""
 
     def __init__(
-        self, server: viser.ViserServer, session: Session, screen: Screen, order: float
+        self, server: viser.ViserServer, session: Session, source: Source, order: float
     ) -> None:
-        """`order`: where in the panel of controls the line of the state stands."""
-        self._session, self._screen = session, screen
+        """`order`: position of the banner in the panel of controls."""
+        self._session, self._source = session, source
         self._measuring = Measuring()
         self._banner = server.gui.add_html("", order=order)
         self.panel = server.gui.add_panel()
@@ -31,11 +31,10 @@ class ReadoutPanel(Part):
         self.panel.set_width(290)
 
     def read_out(self, shown: Moment) -> None:
-        """Measure, and tell."""
         options, telemetry = shown.options, shown.telemetry
         extras = self._measuring.measure(shown, self._session.unwatched)
         self._table.content = readouts.readouts(telemetry, options, extras)
-        if self._screen.live:
+        if self._source.live:
             self._banner.content = readouts.banner(telemetry, options, extras, shown.clutched)
         else:
-            self._banner.content = readouts.note(self._screen.caption)
+            self._banner.content = readouts.note(self._source.caption)

@@ -1,4 +1,4 @@
-"""The numbers and words on the page, as HTML made from one tick's telemetry. Pure functions."""
+"""Read-outs, banner and legend as HTML, from one tick's telemetry. Pure functions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.control.watch import Crossing
 from app.settings import Options
 from app.view import palette
 from app.view.depth import Whereabouts
-from app.view.fixture import LEANING
+from app.view.fixture import MIN_PUSH
 
 _HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
 _NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
@@ -21,10 +21,9 @@ _VALUE = "padding:0;text-align:right;white-space:nowrap"
 _UNIT = "padding:0 0 0 5px;color:var(--vf-faint)"
 _GLOSS = "color:var(--vf-faint);font-size:10.5px"
 
-SILENCE = 0.7  # a control loop that says nothing new for longer is reported [s]
-# The browser's own watchdog: each read-out replaces these elements, which starts their animations
-# anew. If none comes for three seconds (a dead server, a hanging tab) the numbers fade and the
-# note appears. No script, so it works where a page may not run ours.
+SILENCE = 0.7  # a control loop without new telemetry for longer is reported [s]
+# A watchdog in CSS: each read-out replaces these elements and so restarts their animations. Three
+# seconds without one (a dead server, a blocked tab) the numbers fade and the note appears.
 _WATCHDOG = (
     "<style>@keyframes vf-fade{to{opacity:.3}}@keyframes vf-note{to{opacity:1}}"
     ".vf-numbers{animation:vf-fade .3s 3s forwards}"
@@ -37,17 +36,16 @@ _WATCHDOG = (
 
 @dataclass(frozen=True)
 class Extras:
-    """What the view itself measures between two read-outs.
+    """What `app.view.measuring` adds to the telemetry.
 
     Attributes:
-        in_sphere: triangles of the mesh cut by the motion sphere, which is wider by the radius of
-            the tip's ball for those that can touch the ball.
+        in_sphere: number of triangles within the motion sphere, enlarged by the tip's radius.
         speed: mean speed of the tool tip since the last read-out [m/s].
         joints: names of the arm's joints.
-        silent: for how long the control loop has said nothing new [s].
-        count: of the read-outs so far; makes each one's HTML another.
-        where: the tip and the anatomy; None: no tick yet.
-        unwatched: ticks that nobody tested for a crossing.
+        silent: time since the last new telemetry [s].
+        count: number of the read-out; makes each HTML differ from the last.
+        where: position relative to the anatomy; None: no tick yet.
+        unwatched: ticks that were not tested for a crossing.
     """
 
     in_sphere: int
@@ -67,14 +65,14 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
         rows.append(_row("waiting for the first tick", ""))
     else:
         rows += [
-            *_sides(extras),
+            *_distance_rows(extras),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
             _force_row(float(np.linalg.norm(step.force))),
             _section("Fixture"),
             _row("rule", options.rule),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
-            _row(_reached(extras), f"{extras.in_sphere:,}", " "),
+            _row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
             _row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
             _row("QP", palette.SOLVER_HELP[step.solver]),
@@ -108,30 +106,27 @@ def _table(rows: list[str], mark: str) -> str:
 
 
 def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: bool) -> str:
-    """What the operator must know now, in colour; a calm line if there is nothing.
-
-    A crossing stands above everything else until it is history.
-    """
+    """The state in one line, with a colour for its urgency; above it a crossing, until a reset."""
     text, color = _state(telemetry, options, extras, clutched)
     where = extras.where
     if where is None:
         return _line(text, color)
     if where.crossing is not None:
-        return _line(text, palette.css(palette.ALARM), _latch(where, where.crossing))
+        return _line(text, palette.css(palette.ALARM), _crossing_text(where, where.crossing))
     if where.shaft_crosses:
         return _line(text, color, remark="The shaft is in the mesh: only the tip is guarded.")
     return _line(text, color)
 
 
 def note(text: str) -> str:
-    """The same line with a text of somebody else's."""
+    """The banner with any text."""
     return _line(text, palette.css(palette.BLUE))
 
 
 def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
     parts = [html.escape(text)]
     if latch:
-        # White on red on light and dark panels alike.
+        # White on red, on light and dark panels.
         style = f"display:inline-block;padding:0 5px;margin:0 -5px;background:{color};color:#fff"
         parts.insert(0, f"<b style='{style}'>{html.escape(latch)}</b>")
     if remark:
@@ -141,13 +136,13 @@ def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
         "<div class='vf-banner' "
         f"style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
         "background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px;line-height:1.35;"
-        # Always three lines high, so that no button moves from under the mouse.
+        # At least three lines high, so that the controls below keep their place.
         f"min-height:calc(4.05em + 6px)'>{'<br>'.join(parts)}</div>"
     )
 
 
-def _latch(where: Whereabouts, crossing: Crossing) -> str:
-    """What happened, where the tool is now, and what to do."""
+def _crossing_text(where: Whereabouts, crossing: Crossing) -> str:
+    """Where the tip met the mesh, where it is now, and what to do."""
     what = "Crossed" if crossing.centre else "Touched by the tip’s ball"
     if where.inside:
         now = f"{where.distance * 1e3:.2f} mm deep in the anatomy: Reset."
@@ -163,12 +158,12 @@ def _latch(where: Whereabouts, crossing: Crossing) -> str:
     )
 
 
-def _reached(extras: Extras) -> str:
+def _reach_name(extras: Extras) -> str:
     ball = extras.where is not None and extras.where.tip_radius > 0.0
     return "triangles in ball’s reach" if ball else "triangles in sphere"
 
 
-def _sides(extras: Extras) -> list[str]:
+def _distance_rows(extras: Extras) -> list[str]:
     """Distance, depth and crossings, whatever the rule."""
     where = extras.where
     if where is None:
@@ -197,7 +192,7 @@ def _sides(extras: Extras) -> list[str]:
 
 
 def legend() -> str:
-    """What the colours of planes and triangles, and the other signs, mean."""
+    """HTML legend of the colours."""
     signs = [
         (look.color, f"<b>{html.escape(look.name)}</b>: {html.escape(look.meaning)}")
         for look in palette.LOOKS.values()
@@ -231,7 +226,7 @@ def legend() -> str:
 def _state(
     telemetry: Telemetry, options: Options, extras: Extras, clutched: bool
 ) -> tuple[str, str]:
-    """The gravest thing first."""
+    """Text and colour of the most urgent state."""
     step = telemetry.step
     orange, red = palette.css(palette.ORANGE), palette.css(palette.VERMILION)
     calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
@@ -243,7 +238,7 @@ def _state(
         place = "The tool is inside the anatomy. " if inside else ""
         return f"Paused. {place}Run, or step tick by tick.", orange
     if telemetry.stale:
-        return "Stale: contact to the dragging hand is lost, the tool holds.", red
+        return "Stale: no message from the dragging client, the tool holds.", red
     if step is not None and step.status == vf.Status.INSIDE:
         return "Inside the anatomy: only motion towards the outside passes.", red
     if step is not None and step.status == vf.Status.REFUSED:
@@ -269,8 +264,8 @@ def _state(
         return "No fixture (rule off): nothing stops the tool.", orange
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
-    if len(step.planes) and bool((step.multipliers > LEANING).any()):
-        n = int((step.multipliers > LEANING).sum())
+    if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
+        n = int((step.multipliers > MIN_PUSH).sum())
         force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
         return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}): {force}.", busy
     if step.status == vf.Status.SHORTENED:
@@ -290,7 +285,7 @@ def _by_condition(step: vf.Step) -> list[str]:
     rows = []
     for rule, look in palette.LOOKS.items():
         n = int((step.planes.rules == rule).sum())
-        # The three conditions stand there always, so that the table does not jump.
+        # The three conditions are always listed, so that the rows below keep their place.
         if n or rule in (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY):
             dot = f"<span style='color:{palette.css(look.color)}'>■</span> {html.escape(look.name)}"
             rows.append(
@@ -321,7 +316,7 @@ def _section(title: str) -> str:
 
 
 def _row(name: str, value: str, unit: str = "", gloss: str = "") -> str:
-    """A name and a value; numbers have a unit (a blank one: just a count), words have none."""
+    """One row. Numbers have a unit, " " for a count; a text without a unit spans two columns."""
     if gloss:
         gloss = f" <span style='{_GLOSS}'>{html.escape(gloss)}</span>"
     return f"<tr><td style='{_NAME}'>{html.escape(name)}{gloss}</td>" + (

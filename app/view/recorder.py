@@ -1,4 +1,4 @@
-"""Tab "Record": keep a session in a file; list, replay, rename and delete what is kept."""
+"""Tab "Record": record a session; list, replay, rename and delete recordings."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from app.view.part import Clients, Part
 from app.view.pictures import Pictures
 from app.view.replaying import Replaying
 
-MOST = 50  # recordings in the folder: who may click Record must not fill the disk
-LARGEST = 200e6  # of a recording that a browser is sent [byte]
+MAX_RECORDINGS = 50  # in the folder, so that clients cannot fill the disk
+MAX_DOWNLOAD = 200e6  # size of a recording that is sent to a browser [byte]
 NONE = "–"
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;overflow-wrap:anywhere"
 
 
 def folder() -> Path:
-    """Where the page keeps recordings."""
+    """Folder of the page's recordings."""
     return platformdirs.user_data_path("vf-sandbox") / "recordings"
 
 
 class RecordTab(Part):
-    """Record and list; a replay has controls of its own, see `replaying`."""
+    """Controls of recordings; those of a replay are in `replaying`."""
 
     def __init__(self, context: PageContext) -> None:
-        self._context, self._session, self._tell = context, context.session, context.tell
-        self._busy = threading.Lock()  # one order of this tab at a time
-        self._opening = False  # a replay is being built: the button stops that
+        self._context, self._session, self._notify = context, context.session, context.notify
+        self._busy = threading.Lock()  # one job of this tab at a time
+        self._opening = False  # a replay is being built; the button stops it
         self._replaying = Replaying(context)
-        self._said = ""
-        self._doing = ""  # what takes long just now
-        self._moved: set[Path] = set()  # where files were that were renamed or deleted since
-        self._wanted = ""  # what is to be chosen in the list once it is there
-        self._described: tuple[Any, ...] = ()  # what is said of a recording is of this file
+        self._state_shown = ""
+        self._progress = ""  # of the running job
+        self._moved: set[Path] = set()  # former paths of renamed or deleted files
+        self._select_next = ""  # name to select once it is listed
+        self._described: tuple[Any, ...] = ()  # name, size and time of the described file
         gui = context.server.gui
         with context.left.add_tab("Record"):
             self._record = gui.add_button(
@@ -65,17 +65,17 @@ class RecordTab(Part):
                 gui.add_button("Rename", icon=viser.Icon.EDIT),
                 gui.add_button("Delete recording", icon=viser.Icon.TRASH, color="gray"),
             )
-            Pictures(context, self._bind, self._take_time)
+            Pictures(context, self._bind, self._set_progress)
         self._bind(self._record, self._toggle)
 
-        # A plain function, as in `_bind`.
+        # Not by `_bind`: while a replay is being built the button stops that.
         @self._open.on_click
         def _replay(event: viser.GuiEvent[Any]) -> None:
             client = event.client
             if self._opening:
                 self._session.work.stop()
             elif client is not None:
-                self._try(client, lambda: self._start(client))
+                self._run(client, lambda: self._start(client))
 
         for button, job in zip(
             self._others, (self._send, self._ask_name, self._ask_to_delete), strict=True
@@ -84,14 +84,12 @@ class RecordTab(Part):
         self._refresh()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """The screen has asked the replay already."""
         self._replaying.frame()
 
     def read_out(self, shown: Moment) -> None:
-        """How the recording goes, and where the replay is."""
         tape = self._session.tape
         going = tape is not None and tape.running
-        # Controls are written here alone, so that no two threads write them in turns.
+        # Only this thread writes the controls.
         self._refresh()
         self._replaying.read_out()
         self._record.disabled = self._session.suspended and not going
@@ -105,11 +103,11 @@ class RecordTab(Part):
         if tape is not None:
             text = f"Recording: {tape.rows:,} ticks." if going else tape.outcome
             color = palette.VERMILION if going or tape.note else palette.BLACK
-            if tape.path in self._moved:  # it says where that file is
+            if tape.path in self._moved:  # its outcome names the former path
                 text, color = "", palette.BLACK
-            self._say(self._doing or text, color)
+            self._set_state(self._progress or text, color)
         else:
-            self._say(self._doing, palette.BLACK)
+            self._set_state(self._progress, palette.BLACK)
 
     def _toggle(self, client: viser.ClientHandle) -> None:
         tape = self._session.tape
@@ -118,8 +116,8 @@ class RecordTab(Part):
             return
         place = folder()
         place.mkdir(parents=True, exist_ok=True)
-        if len(recordings()) >= MOST:
-            raise Refused(f"there are {MOST} recordings in {place}: delete some first")
+        if len(recordings()) >= MAX_RECORDINGS:
+            raise Refused(f"there are {MAX_RECORDINGS} recordings in {place}: delete some first")
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
         name = files.harmless(f"{stamp}_{self._session.scene.mesh_name}", stamp)
         self._session.record(place / f"{name}{SUFFIX}")
@@ -127,22 +125,22 @@ class RecordTab(Part):
     def _start(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
         doing = f"Opening {path.name}"
-        self._take_time(f"{doing} …")
+        self._set_progress(f"{doing} …")
 
-        def say(text: str) -> None:
-            self._take_time(f"{doing}: {text} …")
+        def progress(text: str) -> None:
+            self._set_progress(f"{doing}: {text} …")
 
         with self._session.work.begin() as stop:
             self._opening = True
             try:
-                self._replaying.show(path.stem, read(path), say, stop)
+                self._replaying.show(path.stem, read(path), progress, stop)
             finally:
                 self._opening = False
 
     def _send(self, client: viser.ClientHandle) -> None:
         path = self._chosen()
         size = path.stat().st_size
-        if size > LARGEST:
+        if size > MAX_DOWNLOAD:
             raise Refused(f"{files.size(size)} are too much for a browser: it is {path}")
         client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
 
@@ -158,7 +156,7 @@ class RecordTab(Part):
             except FileExistsError:
                 raise Refused(f"there is another recording of the name {new.stem}") from None
             self._moved.add(path)
-            self._wanted = new.name
+            self._select_next = new.name
 
         dialogs.ask_name(
             client,
@@ -166,7 +164,7 @@ class RecordTab(Part):
             "Rename the recording",
             path.stem,
             "Rename",
-            lambda name: self._try(client, lambda: rename(name)),
+            lambda name: self._run(client, lambda: rename(name)),
         )
 
     def _ask_to_delete(self, client: viser.ClientHandle) -> None:
@@ -182,7 +180,7 @@ class RecordTab(Part):
             "Delete the recording?",
             f"{path.name}, {files.size(path.stat().st_size)}. It cannot be brought back.",
             "Delete",
-            lambda: self._try(client, delete),
+            lambda: self._run(client, delete),
             color="red",
         )
 
@@ -199,15 +197,15 @@ class RecordTab(Part):
         return path
 
     def _refresh(self) -> None:
-        """The newest recording first, and what the chosen one is."""
+        """Update the list, newest recording first, and the description of the selected one."""
         there = recordings()
         names = tuple(path.name for path in reversed(there)) or (NONE,)
         if names != tuple(self._list.options):
-            # A new recording is what one wants to see.
+            # A new recording is selected.
             new = names[0] not in self._list.options or self._list.value not in names
-            chosen = self._wanted if self._wanted in names else None
+            chosen = self._select_next if self._select_next in names else None
             value = chosen or (names[0] if new else self._list.value)
-            self._wanted = ""
+            self._select_next = ""
             self._list.options = names
             self._list.value = value
         self._open.disabled = not there
@@ -231,35 +229,35 @@ class RecordTab(Part):
         self._about.content = _line(text, palette.GREY)
 
     def _bind(self, button: Any, job: Callable[[viser.ClientHandle], None]) -> None:
-        # A plain function: viser runs it in its pool, where it may take its time.
+        # A plain function: viser runs it in its thread pool, so it may block.
         @button.on_click
         def _clicked(event: viser.GuiEvent[Any]) -> None:
             client = event.client
             if client is not None:
-                self._try(client, lambda: job(client))
+                self._run(client, lambda: job(client))
 
-    def _try(self, client: viser.ClientHandle, job: Callable[[], None]) -> None:
-        """Do one thing; the client is told why if it cannot be done."""
+    def _run(self, client: viser.ClientHandle, job: Callable[[], None]) -> None:
+        """Run one job and notify the client of its errors."""
         if not self._busy.acquire(blocking=False):
-            self._tell(client, "One thing at a time: the last one is not done yet.")
+            self._notify(client, "One thing at a time: the last one is not done yet.")
             return
         try:
             job()
         except (ValueError, TimeoutError) as error:
-            self._tell(client, f"{error}")
+            self._notify(client, f"{error}")
         except OSError as error:
-            self._tell(client, f"{error.strerror or error}: {error.filename or 'the file'}")
+            self._notify(client, f"{error.strerror or error}: {error.filename or 'the file'}")
         finally:
-            self._doing = ""
+            self._progress = ""
             self._busy.release()
 
-    def _take_time(self, text: str) -> None:
-        self._doing = text
+    def _set_progress(self, text: str) -> None:
+        self._progress = text
 
-    def _say(self, text: str, color: palette.Rgb) -> None:
+    def _set_state(self, text: str, color: palette.Rgb) -> None:
         content = _line(text, color)
-        if content != self._said:
-            self._said = content
+        if content != self._state_shown:
+            self._state_shown = content
             self._state.content = content
 
 
@@ -268,7 +266,7 @@ def _line(text: str, color: palette.Rgb) -> str:
 
 
 def recordings() -> list[Path]:
-    """The files in the folder, the oldest first."""
+    """The recordings in the folder, oldest first."""
 
     def begun(path: Path) -> tuple[float, str]:
         try:

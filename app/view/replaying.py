@@ -1,4 +1,4 @@
-"""A replay on the page: a recording in the session's place, and the controls that move it."""
+"""Replay of a recording in place of the session, and its controls."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from app.scene.scene import Progress
 from app.scene.worker import Stop
 from app.view import camera
 from app.view.context import PageContext
-from app.view.screen import Screen
+from app.view.source import Source
 from app.view.units import VIEW_SCALE
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1": 1.0, "2": 2.0, "8": 8.0}
-REPLAYED = 1_000_000  # versions of replayed scenes begin here; a session never gets that far
-ORDER = -1.5  # in the panel: between the banner and the help
+FIRST_VERSION = 1_000_000  # of replayed scenes, above all versions of a session's scenes
+ORDER = -1.5  # in the panel: between banner and help
 BACK = "Back to the session"
 SUSPENDED = f"a replay is shown, and the session waits: press “{BACK}” first"
 STEPS = {"◀◀": -100, "◀": -1, "▶": 1, "▶▶": 100}
@@ -33,19 +33,18 @@ _STYLE = (
 
 
 class Replaying:
-    """Puts a recording on the screen, for every client, and takes it off again.
+    """Shows a recording to all clients.
 
-    Meanwhile the session is suspended, and the panel shows the settings of the recording's moment,
-    which nobody can change. When it is left, the session goes on as it was, and every camera that
-    was moved to another scene is where it was.
+    Meanwhile the session is suspended, and the panel shows the recorded settings, disabled. After
+    the replay the session continues, and cameras that were moved to another scene are restored.
     """
 
     def __init__(self, context: PageContext) -> None:
         self._context, self._session = context, context.session
         self.replay: Replay | None = None
         self._opened = 0
-        self._drawn: Replay | None = None  # the replay that the controls are for
-        self._views: dict[int, camera.View] = {}  # by client: where it looked in the session
+        self._drawn: Replay | None = None  # the replay that the controls show
+        self._views: dict[int, camera.View] = {}  # cameras before the replay, by client
         self._returning = False
         gui = context.server.gui
         with gui.add_folder("Replay", order=ORDER, visible=False) as self._folder:
@@ -84,33 +83,33 @@ class Replaying:
 
         @back.on_click
         async def _back(_event: viser.GuiEvent[Any]) -> None:
-            context.hand.submit(self.leave)
+            context.client_input.submit(self.leave)
 
-        context.escape.offer(self.leave)
+        context.escape.add_fallback(self.leave)
 
     def show(self, name: str, recording: Recording, progress: Progress, stop: Stop) -> None:
-        """Put a recording on the screen, in the place of the session or of another one.
+        """Show a recording instead of the session or of another replay.
 
         Args:
-            progress: called with a few words before each step.
-            stop: of the session's work that this is.
+            progress: called with a short text before each step.
+            stop: of the session's work in progress.
 
         Raises:
-            ValueError: it holds no tick, its mesh is not there or another one now, or it was
-                stopped; what is on the screen stays.
+            ValueError: the recording has no tick, its mesh is missing or has changed, or it was
+                stopped; the page shows what it did before.
         """
         if not len(recording.rows):
             raise Refused("the recording holds no tick")
-        if self._context.fixture.withdrawn:
+        if self._context.fixture.suppressed:
             raise Refused("leave “Freeze and explore” first (tab Inspector)")
         self._opened += 1
-        version = REPLAYED + 1000 * self._opened
+        version = FIRST_VERSION + 1000 * self._opened
         built = build_scenes(recording, version, self._session.scene, progress, stop)
-        replay = Replay(name, Player(recording, built), self._context.screen)
-        replay.now()  # whatever is wrong shows here, not in the picture
+        replay = Replay(name, Player(recording, built), self._context.source)
+        replay.now()  # raises here rather than on the view thread
         if self.replay is None:
             self._session.suspend(SUSPENDED, stop)
-            self._context.hand.let_go()
+            self._context.client_input.release()
             self._views = {
                 client_id: camera.View(
                     np.array(client.camera.position) / VIEW_SCALE,
@@ -119,29 +118,29 @@ class Replaying:
                 for client_id, client in self._context.server.get_clients().items()
             }
         self.replay = replay
-        self._context.screen.instead = replay.now
+        self._context.source.override = replay.now
 
     def leave(self) -> bool:
-        """Back to the session, if a replay is shown; says whether it was."""
+        """Return to the session; whether a replay was shown."""
         if self.replay is None:
             return False
-        shown = self._context.screen.shown.scene
+        shown = self._context.source.shown.scene
         self.replay = None
-        self._context.screen.instead = None
+        self._context.source.override = None
         self._returning = shown.version != self._session.scene.version
         self._session.go_on()
         return True
 
     def frame(self) -> None:
-        """From the view thread, once what is on the screen is drawn."""
-        if self._returning and self._context.screen.live:
+        """From the view thread, after the scene is drawn: restore cameras after a replay."""
+        if self._returning and self._context.source.live:
             self._returning = False
             for client_id, client in self._context.server.get_clients().items():
                 if client_id in self._views:
                     camera.move(client, self._views[client_id])
 
     def read_out(self) -> None:
-        """From the view thread: the controls as the replay is."""
+        """From the view thread: update the controls."""
         replay = self.replay
         if replay is not self._drawn:
             self._drawn = replay
@@ -163,26 +162,26 @@ class Replaying:
 
 
 class Replay:
-    """A recording on the screen."""
+    """A recording that is shown."""
 
-    def __init__(self, name: str, player: Player, screen: Screen) -> None:
+    def __init__(self, name: str, player: Player, source: Source) -> None:
         rows = player.recording.rows
-        self._name, self._player, self._screen = name, player, screen
+        self._name, self._player, self._source = name, player, source
         self._lock = threading.Lock()  # of the player
         self._times = (rows["tick"] - rows["tick"][0]) * player.recording.dt
         self.transport = Transport(self._times)
 
     @property
     def length(self) -> float:
-        """From the first tick to the last [s]."""
+        """Duration [s]."""
         return float(self._times[-1])
 
     def time(self) -> float:
-        """Where it stands [s]."""
+        """Time since the first tick [s]."""
         return float(self._times[self.transport.row()])
 
     def about(self) -> str:
-        """HTML: what it is, what is missing, and whose the settings below are."""
+        """HTML description: name, gaps, and a note about the settings."""
         recording = self._player.recording
         note = f"It ended because {recording.note}." if recording.note else ""
         words = (
@@ -192,11 +191,11 @@ class Replay:
         return f"<div style='{_STYLE}'><b>{html.escape(self._name)}</b> {words}</div>"
 
     def now(self) -> Moment:
-        """What to show."""
+        """The current moment; also updates the banner's caption."""
         with self._lock:
             row = self.transport.row()
             moment = self._player.moment(row)
-        self._screen.caption = (
+        self._source.caption = (
             f"Replay: tick {moment.telemetry.tick:,}, {self._times[row]:.2f} of "
             f"{self.length:.2f} s. The session waits."
         )

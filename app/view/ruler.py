@@ -1,4 +1,4 @@
-"""Layer: scale bars in millimetres, one under the anatomy and one beside the tool's start."""
+"""Layer: scale bars in millimetres, one below the anatomy and one beside the tool's start."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DIVISIONS = 10
 
 
 class Rulers(Part):
-    """Both lie across the direction the page looks from at first."""
+    """Two scale bars, perpendicular to the first view's direction."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._api = api
@@ -31,17 +31,17 @@ class Rulers(Part):
         self._visible = True
 
     def set_scene(self, scene: Scene) -> None:
-        """Draw the bars of a scene, as long as its first view has room for."""
+        """Draw the bars, in lengths for the scene's first view."""
         half_height = site_half_height(scene)
         size = scene.vertices_shown
         low, high = size.min(axis=0), size.max(axis=0)
-        # Under the mesh, on the side that the first view is taken from.
+        # Below the mesh, on the side of the first view's camera.
         toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
         across = np.array([-toward[1], toward[0], 0.0])
         foot = np.array([*(0.5 * (low + high)[:2]), low[2]]) + 0.33 * scene.surface.size * toward
         widest = float(np.ptp(size[:, :2], axis=0).max())
         anatomy = self._draw("anatomy", foot, across, nice_length(0.5 * widest))
-        # Left of the wrist in the first view, where a phone held upright still shows it.
+        # Left of the wrist in the first view, inside the picture of an upright phone.
         up = np.cross(across, DIRECTION)
         up = up if up[2] > 0.0 else -up
         left = np.cross(up, DIRECTION)
@@ -77,6 +77,6 @@ class Rulers(Part):
 
 
 def nice_length(most: float) -> float:
-    """The longest of 1, 2, 5 × 10^k that is not longer than `most` [m]."""
+    """The largest of 1, 2, 5 × 10^k up to `most` [m]."""
     power = 10.0 ** np.floor(np.log10(most))
     return float(power * max(m for m in (1.0, 2.0, 5.0) if m * power <= most * (1 + 1e-9)))

@@ -1,4 +1,4 @@
-"""Part of the page: scenarios to load, each with its sentence, and the present set-up to save."""
+"""Folder "Scenario": load a scenario, save the current set-up."""
 
 from __future__ import annotations
 
@@ -26,31 +26,35 @@ from app.view.units import VIEW_SCALE
 from app.view.uploads import Receiver
 from app.words import OptionError, format_length
 
-ORDER = -0.5  # in the panel: under the help, above all that one sets oneself
+ORDER = -0.5  # in the panel: below the help, above the settings
 FILE_NAME = "scenario.json"
-# As high whatever it says, so that loading moves no button from under the mouse.
+# Of fixed height, so that the controls below keep their place.
 _STYLE = "margin:0 .75em .3em;font-size:12px;line-height:1.35;height:5.4em;overflow-y:auto"
 
 
 class ScenarioChoice(Part):
-    """A list, a sentence, and two buttons.
+    """List of scenarios with a description; buttons to load, save and open a file.
 
-    Building a scene takes its time: in a thread of viser's pool, one at a time. The old scene stays
-    if that fails. A scenario's camera is for all who look, and for those who come later.
+    Scenes are built in viser's thread pool, one at a time; the old scene stays if that fails. A
+    scenario's camera applies to all clients, and to those that connect later.
     """
 
     def __init__(self, context: PageContext) -> None:
         self._session, self._server = context.session, context.server
-        self._hand, self._tell, self._cameras = context.hand, context.tell, context.cameras
-        self._screen, self._library = context.screen, context.library
-        self._loading = False  # the sentence tells how far it is
+        self._input, self._notify, self._cameras = (
+            context.client_input,
+            context.notify,
+            context.cameras,
+        )
+        self._source, self._library = context.source, context.library
+        self._loading = False  # the description shows the progress
         self._scenarios = dict(PRESETS)
         begun = context.scenario
         if begun is not None:
             self._scenarios[begun.name] = begun
-        # The scenario that was loaded last, and the version of its scene.
+        # The scenario loaded last, and the version of its scene.
         self._shown = None if begun is None else (begun, self._session.scene.version)
-        self._arriving = False  # its scene is going to be drawn for the first time
+        self._camera_due = False  # set the cameras when its scene is drawn
         gui, names = context.server.gui, tuple(self._scenarios)
         with gui.add_folder("Scenario", order=ORDER):
             self._choice: Any = gui.add_dropdown(
@@ -69,15 +73,15 @@ class ScenarioChoice(Part):
                 icon=viser.Icon.FOLDER_OPEN,
                 color="gray",
             )
-            self._sentence = gui.add_html("")
-        self._tell_about()
+            self._text = gui.add_html("")
+        self._show_description()
 
         @self._choice.on_update
         async def _chosen(_event: viser.GuiEvent[Any]) -> None:
             if not self._loading:
-                self._tell_about()
+                self._show_description()
 
-        # A plain function: viser runs it in its pool, where building may take its time.
+        # A plain function: viser runs it in its thread pool, so it may block.
         @self._buttons.on_click
         def _clicked(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
@@ -85,7 +89,7 @@ class ScenarioChoice(Part):
                 if order is not None:
                     order(event.client)
 
-        context.uploads.take(
+        context.uploads.register(
             self._open,
             Receiver(
                 ("json",),
@@ -98,28 +102,27 @@ class ScenarioChoice(Part):
         )
 
         @context.server.on_client_connect
-        async def _came(client: viser.ClientHandle) -> None:
-            self._hand.submit(self._show_to, client)
+        async def _connected(client: viser.ClientHandle) -> None:
+            self._input.submit(self._apply_camera, client)
 
     def set_scene(self, scene: Scene) -> None:
-        """Another mesh or arm: what was loaded is there no longer."""
+        """Update the description: the loaded scenario may be gone."""
         if not self._loading:
-            self._tell_about()
+            self._show_description()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """A scenario's scene is drawn: look at it as the scenario says."""
-        if self._arriving and self._shown is not None and shown.scene.version == self._shown[1]:
-            self._arriving = False
+        """Apply the scenario's camera once its scene is drawn."""
+        if self._camera_due and self._shown is not None and shown.scene.version == self._shown[1]:
+            self._camera_due = False
             for client in clients.values():
-                self._show_to(client)
+                self._apply_camera(client)
 
     def read_out(self, shown: Moment) -> None:
-        """While a replay is shown no scenario is begun."""
-        live = self._screen.live
+        live = self._source.live
         self._choice.disabled = self._open.disabled = not live
         self._buttons.visible = live
 
-    def _show_to(self, client: viser.ClientHandle) -> None:
+    def _apply_camera(self, client: viser.ClientHandle) -> None:
         if self._shown is None or self._session.scene.version != self._shown[1]:
             return
         look = self._shown[0].camera
@@ -138,11 +141,11 @@ class ScenarioChoice(Part):
             self._begin(client, scenario)
 
     def _opened(self, client: viser.ClientHandle, path: Path) -> None:
-        """A scenario's file has arrived: it is in the list from now on, and begins."""
+        """Add the scenario of an uploaded file to the list, and load it."""
         try:
             scenario = loads(path.read_bytes(), find=self._library.find)
         except (OptionError, OSError) as error:
-            self._tell(client, f"{path.name} is not opened: {error}.")
+            self._notify(client, f"{path.name} is not opened: {error}.")
             return
         finally:
             shutil.rmtree(path.parent, ignore_errors=True)
@@ -161,13 +164,13 @@ class ScenarioChoice(Part):
                 self._loading = True
                 try:
                     stage(scenario, self._session, self._progress, stop)
-                    self._shown, self._arriving = (scenario, self._session.scene.version), True
+                    self._shown, self._camera_due = (scenario, self._session.scene.version), True
                 finally:
                     self._loading = False
-                    self._tell_about()
+                    self._show_description()
         except Exception as error:
-            # Whatever a reader of a mesh file may raise, the page and the old scene go on.
-            self._tell(client, f"Not loaded: {error}")
+            # The reader of a mesh file may raise anything; the old scene stays.
+            self._notify(client, f"Not loaded: {error}")
 
     def _save(self, client: viser.ClientHandle) -> None:
         options, mesh = self._session.options, self._session.scene.mesh_name
@@ -179,17 +182,17 @@ class ScenarioChoice(Part):
             scenario = present(self._session, "my-set-up", about)
             text = dumps(replace(scenario, camera=self._seen_by(client)))
         except ValueError as error:
-            self._tell(client, f"Not saved: {error}")
+            self._notify(client, f"Not saved: {error}")
             return
         client.send_file_download(FILE_NAME, text.encode(), save_immediately=True)
         if mesh != options.mesh:
-            self._tell(
+            self._notify(
                 client,
                 f"It names {mesh}, which is known here; for --scenario keep {FILE_NAME} beside it.",
             )
 
     def _seen_by(self, client: viser.ClientHandle) -> Viewpoint | str:
-        """How a client looks at the scene."""
+        """A client's camera as a scenario states it."""
         if client.client_id in self._cameras.following.clients:
             return "follow"
         T_base_mesh = self._session.scene.T_base_mesh
@@ -197,20 +200,20 @@ class ScenarioChoice(Part):
         eye, look_at = (places - T_base_mesh[:3, 3]) @ T_base_mesh[:3, :3]
         return Viewpoint(tuple(eye.tolist()), tuple(look_at.tolist()))
 
-    def _tell_about(self) -> None:
+    def _show_description(self) -> None:
         chosen = self._scenarios.get(str(self._choice.value))  # clients may send anything
         shown = self._shown
         if chosen is None:
-            self._say("", palette.BLACK)
+            self._set_text("", palette.BLACK)
         elif shown and shown[0] is chosen and shown[1] == self._session.scene.version:
-            self._say(chosen.about, palette.BLACK)
+            self._set_text(chosen.about, palette.BLACK)
         else:
-            self._say(f"Load shows: {chosen.about}", palette.GREY)
+            self._set_text(f"Load shows: {chosen.about}", palette.GREY)
 
     def _progress(self, text: str) -> None:
-        self._say(f"⏳ {text} …", palette.BLUE)
+        self._set_text(f"⏳ {text} …", palette.BLUE)
 
-    def _say(self, text: str, color: palette.Rgb) -> None:
+    def _set_text(self, text: str, color: palette.Rgb) -> None:
         style = f"{_STYLE};color:{palette.css(color)}"
         words = html.escape(text)
-        self._sentence.content = f"<div class='vf-sentence' style='{style}'>{words}</div>"
+        self._text.content = f"<div class='vf-sentence' style='{style}'>{words}</div>"

@@ -1,4 +1,4 @@
-"""The page's own script, put into viser's HTML on its way to the browser: `page.js`."""
+"""Inserts the page's own script, `page.js`, into the HTML that viser serves."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any
 
 from websockets.http11 import Request, Response
 
-HEAD = b"<head>"  # the script stands right behind it, before anything of viser's
+HEAD = b"<head>"  # the script follows it and so runs before viser's
 
 Answer = Callable[[Any, Request], Response | None]
 
 
-def adding(theirs: Answer) -> Answer:
-    """What answers HTTP requests, with our script added to every page that it answers with."""
+def adding(answer: Answer) -> Answer:
+    """Wrap a handler of HTTP requests: add the script to every HTML page it answers with."""
 
-    @functools.wraps(theirs)
-    def ours(connection: Any, request: Request) -> Response | None:
-        response = theirs(connection, request)
+    @functools.wraps(answer)
+    def wrapped(connection: Any, request: Request) -> Response | None:
+        response = answer(connection, request)
         if response is None or not response.headers.get("Content-Type", "").startswith("text/html"):
             return response
         zipped = response.headers.get("Content-Encoding") == "gzip"
@@ -29,7 +29,7 @@ def adding(theirs: Answer) -> Answer:
         response.headers["Content-Length"] = str(len(response.body))
         return response
 
-    return ours
+    return wrapped
 
 
 @functools.cache
@@ -40,7 +40,7 @@ def script() -> str:
 
 @functools.lru_cache(maxsize=4)
 def _with_script(body: bytes, zipped: bool) -> bytes:
-    """An HTML page with the script at the beginning of its head; both as they are sent."""
+    """An HTML page, gzipped or not, with the script at the beginning of its head."""
     page = gzip.decompress(body) if zipped else body
     page = page.replace(HEAD, HEAD + f"<script>{script()}</script>".encode(), 1)
     return gzip.compress(page) if zipped else page

@@ -1,6 +1,6 @@
-"""Tab "Signals": the last twenty seconds as plots, and the trail of the tool's tip.
+"""Tab "Signals": plots of the last twenty seconds, and the trail of the tool's tip.
 
-Samples are taken whenever somebody watches the page, so that the tab opens with what was before.
+Samples are taken while a client is connected, also while the plots are off.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from app.view.part import Clients, Part
 
 FloatArray = NDArray[np.float64]
 
-SPAN = 20.0  # what the plots show [s]
+SPAN = 20.0  # of the plots [s]
 PERIOD = 0.1  # between two samples [s]
-REDRAWN = 0.5  # between two updates of the plots: a browser draws all five of them anew [s]
+PLOT_PERIOD = 0.5  # between two updates: a browser redraws all five plots [s]
 LENGTH = round(SPAN / PERIOD)
 
 WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
@@ -33,7 +33,7 @@ WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a plot."""
+    """One curve of a plot."""
 
     name: str
     color: palette.Rgb
@@ -41,7 +41,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Plot:
-    """What one plot shows: its title with the unit, its lines, and the least it reaches up to."""
+    """One plot: title with unit, curves, and the least upper end of its y axis."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -71,7 +71,7 @@ CURVES = sum(len(plot.curves) for plot in PLOTS)
 
 
 def sample(telemetry: Telemetry, surface: vf.Surface) -> FloatArray | None:
-    """One value for each curve, in the order of `PLOTS` and in their units; None: no tick yet."""
+    """One value per curve, in the order and units of `PLOTS`; None before the first tick."""
     step, stats = telemetry.step, telemetry.stats
     if step is None:
         return None
@@ -98,7 +98,7 @@ class History:
         self._count = 0
 
     def add(self, time: float, values: FloatArray) -> None:
-        """Append values (`CURVES`,) at a time [s]; one that is not later begins another history."""
+        """Append values (`CURVES`,) at a time [s]; one that is not later clears the history."""
         if self._count and time <= self._times[self._count - 1]:
             self.clear()
         if self._count == LENGTH:
@@ -110,11 +110,11 @@ class History:
         self._count += 1
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all samples."""
         self._count = 0
 
     def shown(self) -> tuple[FloatArray, FloatArray]:
-        """Times (n,) from the newest sample, −`SPAN` to 0 [s], and the values (n, `CURVES`)."""
+        """Times (n,) relative to the newest sample, −`SPAN` to 0 [s], and values (n, `CURVES`)."""
         if self._count == 0:
             return np.zeros(1), np.zeros((1, CURVES))
         times = self._times[: self._count] - self._times[self._count - 1]
@@ -123,20 +123,20 @@ class History:
 
 
 class Signals(Part):
-    """The tab. While nobody watches it computes nothing; switched off, it sends nothing."""
+    """The tab; switched off, it sends nothing."""
 
     def __init__(self, context: PageContext) -> None:
         gui = context.server.gui
-        self._screen = context.screen
+        self._source = context.source
         self._history = History()
         self._trail = trail.Trail(context.server.scene)
         self._cleared = False
-        self._due = True  # draw at once, whatever the pace
+        self._due = True  # draw in the next frame
         self._scene: Scene = context.session.scene
-        self._session: tuple[History, trail.Path, Scene] | None = None  # waits for a replay's end
-        self._sampled = -math.inf  # simulated time of the newest sample [s]
-        self._drawn = 0.0  # when the plots were last sent [s]
-        self._marked = 0.0  # of the newest point of the trail [s]
+        self._session: tuple[History, trail.Path, Scene] | None = None  # kept during a replay
+        self._sample_time = -math.inf  # simulated time of the newest sample [s]
+        self._plot_time = 0.0  # simulated time of the last plot [s]
+        self._trail_time = 0.0  # simulated time of the trail's newest point [s]
         with context.left.add_tab("Signals"):
             self._on = gui.add_checkbox(
                 "Plot", True, hint="Off, the plots stand still; what they miss is kept for later."
@@ -160,41 +160,39 @@ class Signals(Part):
             self._due = True
 
     def set_scene(self, scene: Scene) -> None:
-        """Another anatomy has another past."""
-        self._change_sides()
+        self._swap_history()
         if scene.version == self._scene.version:
             return
         self._scene = scene
-        self._forget()
+        self._clear_all()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Sample and draw, each at its own pace."""
         telemetry = shown.telemetry
-        self._change_sides()
+        self._swap_history()
         if self._cleared:
             self._cleared = False
-            self._forget()
+            self._clear_all()
         if telemetry.scene != self._scene.version or telemetry.step is None:
             return
-        if telemetry.time < self._sampled:  # a replay that goes back
+        if telemetry.time < self._sample_time:  # a replay moved backwards
             self._history.clear()
-            self._trail.path.lift()
-            self._again()
-        self._mark(telemetry, shown.options.rule)
-        if not 0.0 <= telemetry.time - self._sampled < PERIOD:
-            self._sampled = telemetry.time
+            self._trail.path.break_line()
+            self._restart()
+        self._extend_trail(telemetry, shown.options.rule)
+        if not 0.0 <= telemetry.time - self._sample_time < PERIOD:
+            self._sample_time = telemetry.time
             values = sample(telemetry, self._scene.surface)
             if values is not None:
                 self._history.add(telemetry.time, values)
-                self._due |= not 0.0 <= telemetry.time - self._drawn < REDRAWN
+                self._due |= not 0.0 <= telemetry.time - self._plot_time < PLOT_PERIOD
         if self._due and self._on.value:
             self._due = False
-            self._drawn = telemetry.time
+            self._plot_time = telemetry.time
             self._draw()
 
-    def _change_sides(self) -> None:
-        """A replay has a past of its own; the session's is there again when it is left."""
-        if self._screen.live == (self._session is None):
+    def _swap_history(self) -> None:
+        """Give a replay its own history, and restore the session's after it."""
+        if self._source.live == (self._session is None):
             return
         if self._session is None:
             self._session = self._history, self._trail.path, self._scene
@@ -203,31 +201,31 @@ class Signals(Part):
             self._history, self._trail.path, self._scene = self._session
             self._session = None
         self._trail.draw()
-        self._again()
+        self._restart()
 
-    def _again(self) -> None:
-        """Time has jumped: sample, mark and draw at once."""
-        self._sampled = self._drawn = self._marked = -math.inf
+    def _restart(self) -> None:
+        """Sample and draw in the next frame: the simulated time has jumped."""
+        self._sample_time = self._plot_time = self._trail_time = -math.inf
         self._due = True
 
-    def _mark(self, telemetry: Telemetry, rule: str) -> None:
+    def _extend_trail(self, telemetry: Telemetry, rule: str) -> None:
         mode = self._mode.value
         if mode == NEVER or (mode == WHEN_OFF and rule != "off"):
-            self._trail.path.lift()
+            self._trail.path.break_line()
             return
-        if 0.0 <= telemetry.time - self._marked < 0.5 * PERIOD:
+        if 0.0 <= telemetry.time - self._trail_time < 0.5 * PERIOD:
             return
-        self._marked = telemetry.time
+        self._trail_time = telemetry.time
         assert telemetry.step is not None
         p_tip = np.array(telemetry.step.tip.translation)
         if self._trail.path.add(p_tip, signed_distance(self._scene.surface, p_tip)):
             self._trail.draw()
 
-    def _forget(self) -> None:
+    def _clear_all(self) -> None:
         self._history.clear()
         self._trail.path.clear()
         self._trail.draw()
-        self._again()
+        self._restart()
 
     def _draw(self) -> None:
         times, values = self._history.shown()
@@ -271,7 +269,6 @@ class Signals(Part):
                 },
                 {"size": 42, "font": small, "gap": 2},
             ),
-            # One curve is what its title says.
             legend={"show": len(plot.curves) > 1, "live": False},
             cursor={"show": False},
             height=100 if last else 66,

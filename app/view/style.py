@@ -1,4 +1,4 @@
-"""Style sheet of the page: what viser's own layout leaves to be wished for; light and dark."""
+"""Style sheet and theme of the page; light and dark."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import viser
 
 from app.view import palette
 
-# What our own HTML is coloured by, on light and on dark panels.
+# Colours of our own HTML on light and on dark panels.
 _COLOURS = """
 :root { --vf-ink: #222; --vf-soft: #505050; --vf-faint: #6b6b6b; --vf-plate: #f3f3f3; }
 [data-mantine-color-scheme="dark"] {
   --vf-ink: #e8e8e8; --vf-soft: #c0c0c0; --vf-faint: #a0a0a0; --vf-plate: #383838; }
 """
 
-# The scene has black lines and a black shaft for everybody, so behind it is no night on anybody's
-# page. And words in the palette's dark colours are lightened on dark panels.
+# Dark theme: a grey scene background, as the scene has black lines and a black shaft; and lighter
+# shades of the palette's dark text colours.
 _DARK = "".join(
     f'[data-mantine-color-scheme="dark"] {what} }}\n'
     for what in (
@@ -25,10 +25,9 @@ _DARK = "".join(
     )
 )
 
-# Below 36em viser shows all panels in one sheet at the bottom that hides more than half of the
-# scene, is narrower than the screen and cannot be told otherwise by the server. Its parts have no
-# names of their own, so the sheet is found by how viser styles it; if that ever changes the page
-# still works, only less well on a phone.
+# Below 36em viser shows all panels in one sheet at the bottom, which hides more than half of the
+# scene and is narrower than the screen. The server cannot configure it; it has no class or id, so
+# it is selected by its inline style.
 _PHONE = """
 @media (max-width: 36em) {
   [style*="max-height: 60%"][style*="position: fixed"] {
@@ -41,12 +40,12 @@ _PHONE = """
 }
 """
 
-# Six tabs are to fit beside each other.
+# So that six tabs fit side by side.
 _TABS = """
 [data-dock-tab] { padding: 0 .38em !important; font-size: 11px; letter-spacing: -.3px; }
 """
 
-# Five plots are to fit under each other.
+# So that five plots fit below each other.
 _PLOTS = """
 .uplot-container .u-title { font-size: 11px; line-height: 15px; font-weight: 600; }
 .uplot-container { margin: 0 .75em 3px !important; }
@@ -68,8 +67,8 @@ def sheet() -> str:
     return f"<style>{_COLOURS}{_DARK}{_PHONE}{_TABS}{_PLOTS}{_HELP}</style>"
 
 
-def colour(gui: viser.GuiApi, dark: bool) -> None:
-    """Panels in light or dark colours: on every page, or on one if `gui` is a client's own."""
+def set_theme(gui: viser.GuiApi, dark: bool) -> None:
+    """Light or dark panels; on one page only if `gui` is a client's own."""
     gui.configure_theme(
         control_width="medium",
         dark_mode=dark,

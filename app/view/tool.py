@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from app.recording.playback import Moment
 from app.view import palette
@@ -13,15 +12,15 @@ from app.view.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
-FORCE_LENGTH = 0.005  # arrow length for each newton [m]: 3 N stay below the scale bar
-LEAST_FORCE = 0.02  # a weaker force is not drawn [N]
-# The force mostly points along the instrument. At the tip the arrow would be inside it, so it is
-# drawn beside it, across the direction of the page's first view [m].
-ASIDE = 0.0065
+FORCE_LENGTH = 0.005  # of the arrow [m/N]: at 3 N it is shorter than the scale bar
+MIN_FORCE = 0.02  # a weaker force is not drawn [N]
+# The arrow starts so far beside the tip, across the first view [m]: the force mostly points along
+# the instrument, which would hide the arrow.
+ARROW_OFFSET = 0.0065
 
 
 class Tool(Part):
-    """A dot at the tip (the tip's ball if it has a radius), and the force arrow."""
+    """A dot at the tip, the tip's ball if it has a radius, and the force arrow."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._dot = api.add_point_cloud(
@@ -44,31 +43,21 @@ class Tool(Part):
             visible=False,
         )
         self._label = labels.add("/tool/force_label", anchor="bottom-right")
-        self._show_force = True
-
-    def show_force(self, visible: bool) -> None:
-        """Layer switch of the force arrow."""
-        self._show_force = visible
+        self.show_force = True
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Put the tip and the force where they are."""
-        self.update(shown.tip.translation, shown.options.tip_radius, shown.force)
-
-    def update(
-        self, p_tip: NDArray[np.float64], tip_radius: float, force: NDArray[np.float64]
-    ) -> None:
-        """Tip centre p_tip (3,) [m], its radius [m], the force on the hand (3,) [N]."""
+        p_tip, tip_radius, force = shown.tip.translation, shown.options.tip_radius, shown.force
         self._dot.position = to_view(p_tip)
         self._ball.visible = tip_radius > 0.0
         if tip_radius > 0.0:
             self._ball.position = to_view(p_tip)
             self._ball.scale = float(to_view(tip_radius))
         strength = float(np.linalg.norm(force))
-        drawn = self._show_force and strength > LEAST_FORCE
+        drawn = self.show_force and strength > MIN_FORCE
         if drawn:
             arrow = FORCE_LENGTH * force
             side = np.cross(force, DIRECTION)
-            foot = p_tip - ASIDE * side / max(float(np.linalg.norm(side)), 1e-9)
+            foot = p_tip - ARROW_OFFSET * side / max(float(np.linalg.norm(side)), 1e-9)
             self._arrow.points = to_buffer(np.array([[[0.0, 0.0, 0.0], arrow]]))
             self._arrow.position = to_view(foot)
             self._label.position = to_view(foot + arrow)

@@ -1,4 +1,4 @@
-"""Layer: the path of the tool's tip, coloured by how deep in the anatomy it was."""
+"""Layer: the path of the tool's tip, coloured by its depth in the anatomy."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.view import palette
+from app.view import nodes, palette
 from app.view.units import to_buffer
 
 FloatArray = NDArray[np.float64]
 
-LENGTH = 600  # pieces kept; the oldest go first
-SPACING = 2e-4  # a tip that moved by less leaves no mark [m]
-JUMP = 1e-2  # a tip that moved by more between two looks was put there: no line [m]
-DEEP = 2e-3  # depth of the darkest colour [m]: the skull's thickness
+LENGTH = 600  # segments kept; the oldest are dropped
+MIN_STEP = 2e-4  # length of the shortest segment [m]
+MAX_STEP = 1e-2  # a longer motion between two frames is a reset: no segment [m]
+MAX_DEPTH = 2e-3  # of the darkest colour [m]: the skull's thickness
 
-# From the surface down, dark enough to be told from bone and from each other by lightness alone.
+# From the surface downwards; distinct from bone and from each other by lightness alone.
 _OUTSIDE = palette.SKY
 _RAMP = np.array([palette.YELLOW, palette.ORANGE, palette.VERMILION, (90, 20, 0)], dtype=float)
 
 
 def colors(distances: FloatArray) -> NDArray[np.uint8]:
     """Colours (n, 3) of signed distances (n,) [m] from the surface, negative inside."""
-    place = np.clip(-distances / DEEP, 0.0, 1.0) * (len(_RAMP) - 1)
+    place = np.clip(-distances / MAX_DEPTH, 0.0, 1.0) * (len(_RAMP) - 1)
     low = np.minimum(place.astype(int), len(_RAMP) - 2)
     mixed = _RAMP[low] + (place - low)[:, None] * (_RAMP[low + 1] - _RAMP[low])
     mixed[distances >= 0.0] = _OUTSIDE
@@ -31,7 +31,7 @@ def colors(distances: FloatArray) -> NDArray[np.uint8]:
 
 
 def legend() -> str:
-    """HTML of what the trail's colours mean."""
+    """HTML legend of the trail's colours."""
     stops = ",".join(palette.css(tuple(map(int, c))) for c in _RAMP)  # type: ignore[arg-type]
     return (
         "<div style='margin:0 .75em .4em;font-size:11px;color:var(--vf-soft);display:flex;gap:5px;"
@@ -39,32 +39,32 @@ def legend() -> str:
         f"<span style='width:12px;height:9px;background:{palette.css(_OUTSIDE)}'></span>outside"
         "<span style='margin-left:8px'>0</span>"
         f"<span style='flex:1;height:9px;background:linear-gradient(90deg,{stops})'></span>"
-        f"{DEEP * 1e3:g} mm deep</div>"
+        f"{MAX_DEPTH * 1e3:g} mm deep</div>"
         "<div style='margin:0 .75em .4em;font-size:11px;line-height:1.3;color:var(--vf-faint)'>"
         "The bone hides what is inside it: View › Layers › See-through.</div>"
     )
 
 
 class Path:
-    """The points of a trail, at most `LENGTH` pieces of it."""
+    """The newest `LENGTH` segments of a path."""
 
     def __init__(self) -> None:
-        self.segments = np.zeros((LENGTH, 2, 3))  # ends of the pieces [m], oldest first
-        self.distances = np.zeros((LENGTH, 2))  # signed, at those ends [m]
+        self.segments = np.zeros((LENGTH, 2, 3))  # end points [m], oldest first
+        self.distances = np.zeros((LENGTH, 2))  # signed, at the end points [m]
         self.count = 0
         self._last: tuple[FloatArray, float] | None = None
 
     def add(self, p_tip: FloatArray, distance: float) -> bool:
-        """Note the tip at p_tip (3,) [m], its signed distance [m]; whether a piece was added."""
+        """Extend to p_tip (3,) [m] at a signed distance [m]; whether a segment was added."""
         last = self._last
         if last is None:
             self._last = (p_tip, distance)
             return False
         moved = float(np.linalg.norm(p_tip - last[0]))
-        if moved < SPACING:
+        if moved < MIN_STEP:
             return False
         self._last = (p_tip, distance)
-        if moved > JUMP:
+        if moved > MAX_STEP:
             return False
         if self.count == LENGTH:
             self.segments[:-1] = self.segments[1:]
@@ -76,29 +76,21 @@ class Path:
         return True
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all segments."""
         self.count = 0
         self._last = None
 
-    def lift(self) -> None:
-        """The next point begins a new line."""
+    def break_line(self) -> None:
+        """The next point starts a new line."""
         self._last = None
 
 
 class Trail:
-    """The path as drawn. Its node always has the same number of pieces; unused ones have no
-    length."""
+    """Draws a path. Its node always has `LENGTH` segments; unused ones have zero length."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self.path = Path()
-        self._node = api.add_line_segments(
-            "/trail",
-            points=np.zeros((LENGTH, 2, 3), dtype=np.float32),
-            colors=np.zeros((LENGTH, 2, 3), dtype=np.uint8),
-            thickness=4.0,
-            thickness_units="screen",
-            visible=False,
-        )
+        self._node = nodes.lines(api, "/trail", 4.0, count=LENGTH)
 
     def draw(self) -> None:
         """Send the path to the clients."""

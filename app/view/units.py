@@ -1,4 +1,4 @@
-"""Between the session's metres and the page's units: poses, directions, quaternions."""
+"""Conversion between metres and scene units: poses, directions, quaternions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ FloatArray = NDArray[np.float64]
 
 VIEW_SCALE = 100.0
 """Scene units per metre. One unit is a centimetre: viser's clipping planes, zoom limits and
-keyboard speed are made for things some units large, and the tool works on things of some mm."""
+keyboard speed suit objects of a few units, and the anatomy measures centimetres."""
 
 
 def to_view(p_base: ArrayLike) -> FloatArray:
@@ -19,7 +19,7 @@ def to_view(p_base: ArrayLike) -> FloatArray:
 
 
 def to_buffer(p_base: ArrayLike) -> NDArray[np.float32]:
-    """Points from metres to scene units, in the precision that graphics cards take."""
+    """Points from metres to scene units, in single precision."""
     return to_view(p_base).astype(np.float32)
 
 
@@ -30,7 +30,7 @@ def pose_to_view(T_base_pose: pin.SE3) -> tuple[FloatArray, FloatArray]:
 
 
 def pose_from_view(wxyz: ArrayLike, position: ArrayLike) -> pin.SE3:
-    """The pose [m] of a node, as sent by a client, who may send anything.
+    """The pose [m] of a node from a client's message.
 
     Raises:
         ValueError: wrong shape, not finite, or a quaternion far from unit length.
@@ -46,16 +46,16 @@ def pose_from_view(wxyz: ArrayLike, position: ArrayLike) -> pin.SE3:
 
 
 def same_pose(a: pin.SE3, b: pin.SE3) -> bool:
-    """Whether two poses differ by less than a client's rounding (1 µm, 1e-5 rad)."""
+    """Whether two poses differ by less than the rounding of a browser (1 µm, 1e-5)."""
     moved = np.abs(a.translation - b.translation).max()
     turned = np.abs(a.rotation - b.rotation).max()
     return bool(moved < 1e-6 and turned < 1e-5)
 
 
 def turn_z_to(normals: FloatArray) -> FloatArray:
-    """Quaternions wxyz (m, 4) of the shortest turns that take +z to each unit normal (m, 3)."""
+    """Quaternions wxyz (m, 4) of the shortest rotations from +z to each unit normal (m, 3)."""
     x, y, z = normals.T
     q = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)
-    # Where the normal is -z the shortest turn is not unique: half a turn about x will do.
+    # For a normal of -z the shortest rotation is not unique: half a turn about x.
     q[z < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
     return q / np.linalg.norm(q, axis=1, keepdims=True)

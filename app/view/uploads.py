@@ -1,6 +1,6 @@
-"""Files that browsers send: written to disk as they arrive, within limits that the server sets.
+"""Uploaded files: written to disk as they arrive, within the server's limits.
 
-viser itself collects an upload's parts in memory until the last one came, however many that are.
+viser would collect all parts of an upload in memory.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from viser import _messages as wire
 
 import meshes
 from app.files import harmless, size
-from app.view.hand import Tell
+from app.view.client_input import Notify
 
 log = logging.getLogger(__name__)
 
-AT_ONCE = 4  # transfers under way, of all clients together
-SILENCE = 30.0  # a transfer that sent nothing for so long is given up [s]
+MAX_TRANSFERS = 4  # at a time, of all clients together
+TIMEOUT = 30.0  # a transfer without a part for so long is discarded [s]
 
 
 @dataclass(frozen=True)
 class Receiver:
-    """What becomes of the files of one upload button.
+    """How the files of one upload button are received.
 
     Attributes:
-        kinds: what their names may end with, without the dot.
-        limit: of one file [byte].
-        enlarge: what allows more, to be said with the limit; empty: nothing does.
-        coming: makes a new folder for a file on its way.
-        refusal: why a file of so many bytes is not taken now; None: it is.
-        arrived: called with each complete file, in a thread of its own. Whoever is called has the
-            file and its folder from then on.
+        kinds: accepted extensions, without the dot.
+        limit: size of one file [byte].
+        limit_hint: how to raise the limit, for the refusal; may be empty.
+        make_folder: makes a new folder for one file.
+        refusal: why a file of so many bytes is refused now; None: it is accepted.
+        on_complete: called with each complete file, on a thread of its own; it owns the file and
+            its folder.
     """
 
     kinds: tuple[str, ...]
     limit: int
-    enlarge: str
-    coming: Callable[[], Path]
+    limit_hint: str
+    make_folder: Callable[[], Path]
     refusal: Callable[[int], str | None]
-    arrived: Callable[[viser.ClientHandle, Path], None]
+    on_complete: Callable[[viser.ClientHandle, Path], None]
 
 
 @dataclass
@@ -58,24 +58,24 @@ class _Transfer:
     stream: BinaryIO
     size: int  # [byte] declared
     parts: int  # declared
-    got: int = 0  # [byte]
-    part: int = 0  # the one due next
-    heard: float = 0.0  # monotonic time [s]
+    received: int = 0  # [byte]
+    part: int = 0  # index of the next one
+    last_part_at: float = 0.0  # monotonic time [s]
 
 
 class Uploads:
-    """Takes the files that come through the upload buttons.
+    """Receives the files of all upload buttons.
 
-    What a client says is not believed: names are reduced to harmless ones, a file ends where its
-    declared size ends, and that must be within the limit before the first byte is kept.
+    File names are sanitized; the declared size must be within the limit, and no more than that is
+    written.
     """
 
-    def __init__(self, server: viser.ViserServer, tell: Tell) -> None:
-        """Take over from viser's own collecting. `tell`: why a file was not taken."""
+    def __init__(self, server: viser.ViserServer, notify: Notify) -> None:
+        """Replace viser's upload handlers. `notify` tells a client why a file is refused."""
         self._server = server
-        self._tell = tell
+        self._notify = notify
         self._receivers: dict[str, Receiver] = {}  # by button
-        self._transfers: dict[str, _Transfer] = {}  # touched by the event loop alone
+        self._transfers: dict[str, _Transfer] = {}  # used by the event loop only
         gui, connection = server.gui, server.gui._websock_interface
         for kind, theirs, ours in (
             (wire.FileTransferStartUpload, gui._handle_file_transfer_start, self._start),
@@ -85,13 +85,13 @@ class Uploads:
             connection.register_handler(kind, ours)  # type: ignore[arg-type]
 
         @server.on_client_disconnect
-        async def _gone(client: viser.ClientHandle) -> None:
+        async def _disconnected(client: viser.ClientHandle) -> None:
             for key, transfer in tuple(self._transfers.items()):
                 if transfer.client_id == client.client_id:
-                    self._drop(key)
+                    self._discard(key)
 
-    def take(self, button: viser.GuiUploadButtonHandle, receiver: Receiver) -> None:
-        """Let a receiver have what comes through this button."""
+    def register(self, button: viser.GuiUploadButtonHandle, receiver: Receiver) -> None:
+        """Set the receiver of a button's files."""
         self._receivers[button._impl.uuid] = receiver
 
     def _start(self, client_id: int, message: wire.FileTransferStartUpload) -> None:
@@ -101,24 +101,24 @@ class Uploads:
             return
         now = time.monotonic()
         for key, transfer in tuple(self._transfers.items()):
-            if now - transfer.heard > SILENCE:
-                self._drop(key)
+            if now - transfer.last_part_at > TIMEOUT:
+                self._discard(key)
         length, parts = message.size_bytes, message.part_count
         name = harmless(str(message.filename)[-300:], "file")
         reason = self._refusal(client_id, receiver, name, length, parts)
         if reason is None:
             try:
-                path = receiver.coming() / name
+                path = receiver.make_folder() / name
                 stream = path.open("wb")
             except OSError as error:
                 reason = f"it cannot be kept ({error.strerror or error})"
         if reason is not None:
-            self._refuse(
+            self._report_refusal(
                 client_id, button, message.transfer_uuid, f"“{name}” was not taken: {reason}."
             )
             return
         self._transfers[message.transfer_uuid] = _Transfer(
-            client_id, button, path, stream, length, parts, heard=now
+            client_id, button, path, stream, length, parts, last_part_at=now
         )
 
     def _refusal(
@@ -130,11 +130,11 @@ class Uploads:
         if not (isinstance(length, int) and isinstance(parts, int)) or length <= 0 or parts <= 0:
             return "the file is empty"
         if length > receiver.limit:
-            more = f" ({receiver.enlarge})" if receiver.enlarge else ""
+            more = f" ({receiver.limit_hint})" if receiver.limit_hint else ""
             return f"{size(length)} are more than the {size(receiver.limit)} allowed{more}"
         if any(transfer.client_id == client_id for transfer in self._transfers.values()):
-            return "another file of yours is still on its way"
-        if len(self._transfers) >= AT_ONCE:
+            return "another file of yours is still being uploaded"
+        if len(self._transfers) >= MAX_TRANSFERS:
             return "others are sending files: try again in a moment"
         return receiver.refusal(length)
 
@@ -143,30 +143,30 @@ class Uploads:
         if transfer is None or transfer.client_id != client_id:
             return
         content = message.content
-        transfer.heard = time.monotonic()
+        transfer.last_part_at = time.monotonic()
         # Browsers send the parts in order over one connection.
         sound = (
             isinstance(content, bytes)
             and message.part_index == transfer.part
             and transfer.part < transfer.parts
-            and transfer.got + len(content) <= transfer.size
+            and transfer.received + len(content) <= transfer.size
         )
         if not sound:
-            self._fail(message.transfer_uuid, "it came in damaged")
+            self._fail(message.transfer_uuid, "a part of it is invalid")
             return
         try:
             transfer.stream.write(content)
         except OSError as error:
             self._fail(message.transfer_uuid, f"it could not be kept ({error.strerror or error})")
             return
-        transfer.got += len(content)
+        transfer.received += len(content)
         transfer.part += 1
         self._acknowledge(
-            client_id, transfer.button, message.transfer_uuid, transfer.got, transfer.size
+            client_id, transfer.button, message.transfer_uuid, transfer.received, transfer.size
         )
         if transfer.part == transfer.parts:
-            if transfer.got != transfer.size:
-                self._fail(message.transfer_uuid, "it came in cut off")
+            if transfer.received != transfer.size:
+                self._fail(message.transfer_uuid, "it is incomplete")
                 return
             self._complete(message.transfer_uuid)
 
@@ -179,45 +179,50 @@ class Uploads:
             return
         client = self._server.get_clients().get(transfer.client_id)
         if client is None:
-            self._drop(key)
+            self._discard(key)
             return
         del self._transfers[key]
-        arrived = self._receivers[transfer.button].arrived
+        on_complete = self._receivers[transfer.button].on_complete
         threading.Thread(
-            target=self._hand_on, args=(arrived, client, transfer.path), name="upload", daemon=True
+            target=self._deliver,
+            args=(on_complete, client, transfer.path),
+            name="upload",
+            daemon=True,
         ).start()
 
-    def _hand_on(
+    def _deliver(
         self,
-        arrived: Callable[[viser.ClientHandle, Path], None],
+        on_complete: Callable[[viser.ClientHandle, Path], None],
         client: viser.ClientHandle,
         path: Path,
     ) -> None:
         try:
-            arrived(client, path)
+            on_complete(client, path)
         except Exception:
-            log.exception("a file that arrived could not be handed on")
+            log.exception("an uploaded file could not be processed")
 
     def _fail(self, key: str, reason: str) -> None:
         transfer = self._transfers[key]
-        self._drop(key)
-        said = f"“{transfer.path.name}” was not taken: {reason}."
-        self._refuse(transfer.client_id, transfer.button, key, said)
+        self._discard(key)
+        text = f"“{transfer.path.name}” was not taken: {reason}."
+        self._report_refusal(transfer.client_id, transfer.button, key, text)
 
-    def _drop(self, key: str) -> None:
+    def _discard(self, key: str) -> None:
         transfer = self._transfers.pop(key)
         with contextlib.suppress(OSError):
             transfer.stream.close()
         shutil.rmtree(transfer.path.parent, ignore_errors=True)
 
-    def _refuse(self, client_id: int, button: str, key: str, reason: str) -> None:
-        # The browser's progress display ends only when all is acknowledged.
+    def _report_refusal(self, client_id: int, button: str, key: str, reason: str) -> None:
+        # The browser's progress display ends when the whole file is acknowledged.
         self._acknowledge(client_id, button, key, 1, 1)
-        self._tell(self._server.get_clients().get(client_id), reason)
+        self._notify(self._server.get_clients().get(client_id), reason)
 
-    def _acknowledge(self, client_id: int, button: str, key: str, got: int, length: int) -> None:
+    def _acknowledge(
+        self, client_id: int, button: str, key: str, received: int, length: int
+    ) -> None:
         client = self._server.get_clients().get(client_id)
         if client is not None:
             client.gui._websock_interface.queue_message(
-                wire.FileTransferPartAck(button, key, got, length)
+                wire.FileTransferPartAck(button, key, received, length)
             )

@@ -1,4 +1,4 @@
-"""Folder "View": where one looks from, through which lens, in which colours, and the layers."""
+"""Folder "View": camera views, lens, section, colours of the panels, layers."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 import viser
 
 from app.view import camera, style
-from app.view.hand import Hand
+from app.view.client_input import ClientInput
 from app.view.keys import Order
 
 Look = Callable[[viser.ClientHandle, str], None]
 Layers = dict[str, tuple[bool, Callable[[bool], None]]]
 
-# The views by their names, each with its key.
+# Key of each view.
 KEYS = {
     "Arm": "0",
     "Anatomy": "9",
@@ -42,22 +42,27 @@ SECTION_KEY, LENS_KEY, DARK_KEY = "X", "Z", "B"
 
 
 class Views:
-    """The folder's controls, and the same as orders for keys. Each acts for the one who asks."""
+    """The folder's controls, and the same orders for keys. Each acts for the client that asks."""
 
     def __init__(
-        self, server: viser.ViserServer, hand: Hand, look: Look, section: Order, layers: Layers
+        self,
+        server: viser.ViserServer,
+        client_input: ClientInput,
+        look: Look,
+        section: Order,
+        layers: Layers,
     ) -> None:
-        """`look` moves a client's camera to a view by its name; `section` cuts for its eye."""
+        """`look` moves a client's camera to a named view; `section` switches the section plane."""
         self._gui = server.gui
-        self._hand = hand
+        self._input = client_input
         self._look = look
         self._section = section
-        self._dark: set[int] = set()  # clients; the hand's worker only
+        self._dark: set[int] = set()  # clients; used by the input worker only
         with server.gui.add_folder("View"):
             for label, hint, names in GROUPS:
                 keys = ", ".join(KEYS[name] for name in names)
                 self._group(
-                    label, f"{hint} Keys {keys}.", {n: partial(self._see, n) for n in names}
+                    label, f"{hint} Keys {keys}.", {n: partial(self._view, n) for n in names}
                 )
             self._group(
                 "Lens",
@@ -78,8 +83,8 @@ class Views:
                 "Page",
                 f"Colours of the panels, on your page alone. Key {DARK_KEY}.",
                 {
-                    LIGHT: lambda c: self._colour(c, False),
-                    DARK: lambda c: self._colour(c, True),
+                    LIGHT: lambda c: self._set_dark(c, False),
+                    DARK: lambda c: self._set_dark(c, True),
                 },
             )
             with server.gui.add_folder("Layers", expand_by_default=False):
@@ -87,29 +92,29 @@ class Views:
                     self._layer(name, shown, switch)
 
     def commands(self) -> dict[str, tuple[str, Order]]:
-        """By key: what the palette calls an order, and the order."""
+        """Label and order of each command, by key."""
         found: dict[str, tuple[str, Order]] = {
-            key: (f"View: {name.lower()}", partial(self._see, name)) for name, key in KEYS.items()
+            key: (f"View: {name.lower()}", partial(self._view, name)) for name, key in KEYS.items()
         }
-        found[KEYS["Follow"]] = ("View: follow the tool, or stop it", partial(self._see, "Follow"))
-        found[LENS_KEY] = ("View: parallel, or perspective", self._other_lens)
+        found[KEYS["Follow"]] = ("View: follow the tool, or stop it", partial(self._view, "Follow"))
+        found[LENS_KEY] = ("View: parallel, or perspective", self._toggle_lens)
         found[SECTION_KEY] = ("View: cut the anatomy at the tip, or not", self._section)
-        found[DARK_KEY] = ("Page: dark, or light", self._other_colours)
+        found[DARK_KEY] = ("Page: dark, or light", self._toggle_dark)
         return found
 
-    def _see(self, name: str, client: viser.ClientHandle) -> None:
+    def _view(self, name: str, client: viser.ClientHandle) -> None:
         self._look(client, name)
 
-    def _other_lens(self, client: viser.ClientHandle) -> None:
+    def _toggle_lens(self, client: viser.ClientHandle) -> None:
         parallel = camera.is_parallel(client)
         camera.set_lens(client, camera.FIELD_OF_VIEW if parallel else camera.PARALLEL)
 
-    def _other_colours(self, client: viser.ClientHandle) -> None:
-        self._colour(client, client.client_id not in self._dark)
+    def _toggle_dark(self, client: viser.ClientHandle) -> None:
+        self._set_dark(client, client.client_id not in self._dark)
 
-    def _colour(self, client: viser.ClientHandle, dark: bool) -> None:
+    def _set_dark(self, client: viser.ClientHandle, dark: bool) -> None:
         (self._dark.add if dark else self._dark.discard)(client.client_id)
-        style.colour(client.gui, dark)
+        style.set_theme(client.gui, dark)
 
     def _group(self, label: str, hint: str, orders: dict[str, Order]) -> None:
         group = self._gui.add_button_group(label, tuple(orders), hint=hint)
@@ -118,7 +123,7 @@ class Views:
         async def _clicked(event: viser.GuiEvent[Any]) -> None:
             order = orders.get(str(event.target.value))
             if event.client is not None and order is not None:
-                self._hand.submit(order, event.client)
+                self._input.submit(order, event.client)
 
     def _layer(self, name: str, shown: bool, switch: Callable[[bool], None]) -> None:
         box = self._gui.add_checkbox(name, shown)

@@ -1,4 +1,4 @@
-"""A thread for what is too slow for a frame: the newest question counts, older ones are dropped."""
+"""Background computations that take longer than a frame; only the newest request is kept."""
 
 from __future__ import annotations
 
@@ -10,51 +10,51 @@ from typing import Generic, TypeVar
 
 log = logging.getLogger(__name__)
 
-Question = TypeVar("Question")
-Answer = TypeVar("Answer")
+Request = TypeVar("Request")
+Result = TypeVar("Result")
 
-IDLE = 0.5  # a thread that was asked nothing for longer ends [s]
+IDLE = 0.5  # the thread ends after so long without a request [s]
 
 
-class Worker(Generic[Question, Answer]):
-    """Answers the newest question on a thread that is there only while questions come."""
+class Worker(Generic[Request, Result]):
+    """Computes the newest request on a thread that ends when no requests come."""
 
-    def __init__(self, name: str, answer: Callable[[Question], Answer]) -> None:
+    def __init__(self, name: str, compute: Callable[[Request], Result]) -> None:
         self._name = name
-        self._answer = answer
+        self._compute = compute
         self._changed = threading.Condition()
-        self._question: Question | None = None
+        self._request: Request | None = None
         self._running = False
-        self._newest: Answer | None = None
-        self.took = 0.0
-        """How long the last answer took [s]."""
+        self._latest: Result | None = None
+        self.duration = 0.0
+        """Time of the last computation [s]."""
 
-    def ask(self, question: Question) -> None:
-        """Replace the waiting question, if there is one. Does not wait for answers."""
+    def request(self, request: Request) -> None:
+        """Replace the waiting request, if there is one; returns at once."""
         with self._changed:
-            self._question = question
+            self._request = request
             if self._running:
                 self._changed.notify()
                 return
             self._running = True
         threading.Thread(target=self._run, name=self._name, daemon=True).start()
 
-    def newest(self) -> Answer | None:
-        """The newest answer, None before the first. Never waits."""
-        return self._newest
+    def latest(self) -> Result | None:
+        """The newest result, None before the first; returns at once."""
+        return self._latest
 
     def _run(self) -> None:
         while True:
             with self._changed:
-                if self._question is None:
+                if self._request is None:
                     self._changed.wait(IDLE)
-                if self._question is None:
+                if self._request is None:
                     self._running = False
                     return
-                question, self._question = self._question, None
+                request, self._request = self._request, None
             started = time.monotonic()
             try:
-                self._newest = self._answer(question)
+                self._latest = self._compute(request)
             except Exception:
-                log.exception("%s: no answer", self._name)
-            self.took = time.monotonic() - started
+                log.exception("%s: no result", self._name)
+            self.duration = time.monotonic() - started

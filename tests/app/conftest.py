@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from app import session as sessions
+from app.control import desk
 from tests.support.headless import Tape
 
 
@@ -20,7 +21,8 @@ def tapes(monkeypatch: pytest.MonkeyPatch) -> list[Tape]:
         made.append(Tape(value))
         return made[-1]
 
-    monkeypatch.setattr(sessions, "Mailbox", recorded)
+    for module in (desk, sessions):
+        monkeypatch.setattr(module, "Mailbox", recorded)
     return made
 
 

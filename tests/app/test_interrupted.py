@@ -222,7 +222,7 @@ import app.cli
 import llvmlite.binding.ffi as ffi
 import numba.core.caching as files
 
-interrupts.AGAIN = 1e6  # the alarm is rung below
+interrupts.RETRY_DELAY = 1e6  # the alarm is rung below
 calls = 0
 
 def interrupt(frame, event, _):
@@ -276,7 +276,7 @@ from app.__main__ import main
 import app.cli
 from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
 
-interrupts.AGAIN = 1e6
+interrupts.RETRY_DELAY = 1e6
 name = sys.argv[1]
 
 def interrupt(frame, event, _):

@@ -42,14 +42,14 @@ from app.session import Session
 
 told = io.StringIO()
 with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
-    cli._wanted(["--help"])
+    cli._parsed(["--help"])
 assert "--damping NUMBER" in told.getvalue() and "How thick the air is." in told.getvalue()
-options, _ = cli._wanted(["--damping", "3", "--mesh", "cube", "--robot", "point"])
+options, _ = cli._parsed(["--damping", "3", "--mesh", "cube", "--robot", "point"])
 assert options.damping == 3.0
 for words, line in ((["--damping", "99"], "damping 99 s/m is outside 0 s/m to 9 s/m"),
                     (["--damping", "x"], "damping: 'x' is not a number")):
     try:
-        cli._wanted(words)
+        cli._parsed(words)
     except ValueError as error:
         assert str(error) == line, error
     else:

@@ -17,6 +17,7 @@ import meshes
 import robots
 from app.devices.page import FARTHEST_PROXY
 from app.refused import Refused
+from app.scene.worker import Stopped
 from app.session import Session
 from app.settings import Options
 from app.words import OptionError
@@ -263,7 +264,7 @@ def test_settings_change_while_running_and_are_clamped(session: Session) -> None
         with pytest.raises(Refused, match=f"{name} must be a number"):
             session.set(**{name: "1"})
     for name in ("mesh", "robot", "rate", "host", "nothing"):
-        with pytest.raises(Refused, match=f"{name} is nothing that is set"):
+        with pytest.raises(Refused, match=f"{name} is none of what is set live: corridor, rule"):
             session.set(**{name: 1})
     assert session.options == Options(
         mesh="cube", robot="point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,
@@ -555,6 +556,14 @@ def test_no_session_is_suspended_while_another_mesh_is_on_its_way(session: Sessi
     session.change(mesh="stairs", progress=suspend)
     assert set(asked) == {"another change is under way: wait until it is done"}
     assert not session.suspended
+
+
+def test_a_change_can_be_stopped_wherever_it_is_built(session: Session) -> None:
+    scene, options = session.scene, session.options
+    with pytest.raises(Stopped, match="nothing is changed"):
+        session.change(mesh="stairs", progress=lambda _text: session.work.stop())
+    assert (session.scene, session.options) == (scene, options)
+    assert session.change(mesh="stairs").mesh_name == "stairs"
 
 
 def test_parts_of_one_work_are_not_in_each_others_way(session: Session) -> None:

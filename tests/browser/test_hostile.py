@@ -17,7 +17,7 @@ from websockets.typing import Subprotocol
 
 from app.session import Session
 from app.settings import Options
-from app.view import Page, recorder, who
+from app.view import Page, client_names, recorder
 from app.view.units import VIEW_SCALE
 from tests.support.watching import wait_until
 
@@ -174,6 +174,10 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
         control = next(c for c in controls.values() if getattr(c, "label", None) == label)
         send(attacker, "GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
 
+    # The recording is in the list while it is still being made; the button says when it is over.
+    wait_until(
+        lambda: any(getattr(c, "label", None) == "Record" for c in controls.values()), "Record"
+    )
     listed = next(c for c in controls.values() if getattr(c, "label", None) == "Recording")
     wait_until(lambda: listed.value == tape.path.name, "it to be in the list")
     wxyz, position = page.gizmo_pose
@@ -206,7 +210,7 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
     speed = next(c for c in controls.values() if getattr(c, "label", None) == "Speed")
     wait_until(lambda: speed.value == "1/4", "all of it to arrive")
     done = threading.Event()
-    page._hand.submit(done.set)
+    page._input.submit(done.set)
     assert done.wait(20.0)
     assert (session.options, session.scene) == (options, scene)
     assert session.handle is handle
@@ -240,8 +244,8 @@ def test_one_client_has_the_proxy_and_the_others_are_told_who(
         mine = position + np.array([0.2, 0.0, 0.0])
         gizmo(attacker, "Update", wxyz.tolist(), mine.tolist())
         wait_until(lambda: np.allclose(VIEW_SCALE * session.handle.translation, mine), "the drag")
-        told = page.told
-        wait_until(lambda: who.name(first) in told(second), "the other to be told")
+        told = page.client_line
+        wait_until(lambda: client_names.name(first) in told(second), "the other to be told")
         assert "Another client is dragging" in told(second)
         assert "You" in told(first)
         gizmo(other, "Start")

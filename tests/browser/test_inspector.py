@@ -96,7 +96,7 @@ def test_clicks_a_triangle_and_reads_its_report(tab: Visitor, session: Session, 
         pytest.fail("no triangle to click in this view")
     tab.tab.mouse.click(u, v)
     wait_until(lambda: chosen(tab) == face, f"the report on triangle {face}")
-    assert "closest point" in text(tab, ".vf-reason") or "Not asked" in text(tab, ".vf-reason")
+    assert "closest point" in text(tab, ".vf-reason") or "Not examined" in text(tab, ".vf-reason")
     tab.picture("inspector-clicked")
 
 

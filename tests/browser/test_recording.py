@@ -225,7 +225,7 @@ def test_recordings_are_renamed_and_deleted_once_that_is_confirmed(
     wait_until(lambda: chosen.input_value() != "_Übung 3_4 頭.vfrec", "the list to say so")
     # One that is being written cannot be touched.
     visitor.press("Record")
-    wait_until(lambda: session.tape is not None and session.tape.rows > 0, "ticks")
+    wait_until(lambda: session.tape.running and session.tape.rows > 0, "ticks")
     going = session.tape.path
     wait_until(lambda: chosen.input_value() == going.name, "it to be in the list")
     visitor.press("Delete recording")

@@ -119,6 +119,49 @@ def uncovered(
     return min(exact_closest(one, _exact(x))[1] for one in fan) <= reach * reach
 
 
+def passages(
+    triangles: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> list[tuple[int, Fraction, int]]:
+    """Where the closed segment ab meets each triangle (m, 3, 3): row, place from 0 to 1, direction.
+
+    The direction is 1 along the triangle's normal, −1 against it, and 0 where the segment runs in
+    the triangle's plane (the place is then 0).
+    """
+    found = []
+    for row in crossed(triangles, a, b):
+        corner, second, third, p, q = (
+            [Fraction(float(v)) for v in point] for point in (*triangles[row], a, b)
+        )
+        n = _cross(_minus(second, corner), _minus(third, corner))
+        start, end = _dot(n, _minus(p, corner)), _dot(n, _minus(q, corner))
+        if start == end:
+            found.append((int(row), Fraction(0), 0))
+        else:
+            found.append((int(row), start / (start - end), 1 if start < end else -1))
+    return found
+
+
+def winding(triangles: np.ndarray, p: np.ndarray) -> int | None:
+    """Winding number of closed triangles (m, 3, 3) around p; None: p is on one of them."""
+    rng = np.random.default_rng(0)
+    size = 4.0 * float(np.abs(triangles).max()) + float(np.abs(p).max())
+    while True:
+        direction = rng.normal(size=3)
+        met = passages(triangles, p, p + size * direction / np.linalg.norm(direction))
+        places = [place for _, place, _ in met]
+        if Fraction(0) in places:
+            return None
+        if len(set(places)) == len(places):  # through no edge
+            return sum(sign for _, _, sign in met)
+
+
+def inner_side(triangle: np.ndarray, x: np.ndarray) -> int:
+    """1 where x is strictly behind the plane of a triangle, −1 in front of it, 0 on it."""
+    a, b, c, p = ([Fraction(float(v)) for v in point] for point in (*triangle, x))
+    height = _dot(_cross(_minus(b, a), _minus(c, a)), _minus(p, a))
+    return (height < 0) - (height > 0)
+
+
 def _segments_meet(p: Point, q: Point, r: Point, s: Point) -> bool:
     """Whether the closed segments pq and rs share a point."""
     u, v, w = _minus(q, p), _minus(s, r), _minus(r, p)

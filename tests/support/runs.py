@@ -1,19 +1,45 @@
-"""A recording without a thread."""
+"""Runs and recordings without thread and clock."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import pinocchio as pin
 
 from app.control.engine import Engine, Orders
-from app.control.messages import Command, LoopStats
+from app.control.messages import Command, LoopStats, Telemetry
 from app.recording.write import Recorder
 from app.scene import scene as scenes
 from app.settings import Options
 
 CUBE = Options(mesh="cube", robot="point")
+
+
+def run_headless(
+    options: Options,
+    commands: Iterable[Command | None],
+    ticks: int,
+    autopilot: bool = False,
+) -> list[Telemetry]:
+    """The telemetry of the first `ticks` ticks of a new scene, without thread and clock.
+
+    `commands`: the command in the mailbox at each tick; None, and the end of the commands, mean no
+    new one. `autopilot`: it drives, and the commands are ignored.
+    """
+    scene = scenes.build(options, 1)
+    stats = LoopStats()
+    orders = Orders(scenes.plant(scene, options), Command(None, 0), autopilot=autopilot)
+    engine = Engine(orders)
+    incoming = iter(commands)
+    seen = []
+    for _ in range(ticks):
+        command = next(incoming, None)
+        if command is not None:
+            orders = Orders(orders.plant, command, autopilot=autopilot)
+        seen.append(engine.advance(orders, stats)[0])
+    return seen
 
 
 def a_run(path: Path, options: Options = CUBE, ticks: int = 60) -> None:

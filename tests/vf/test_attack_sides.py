@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pinocchio as pin
 import pytest
-import trimesh
 
 import robots
 import vf
 from tests.support import exact
-
-BOX_FACES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
-)  # fmt: skip
-STRAIGHT = np.eye(3)
-
-
-def box(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    corners = [[x, y, z] for z in (low[2], high[2]) for y in (low[1], high[1])
-               for x in (low[0], high[0])]  # fmt: skip
-    return np.array(corners), BOX_FACES
-
-
-def ball(radius: float, centre: tuple[float, ...] = (0.0, 0.0, 0.0), outwards: bool = True):
-    shape = trimesh.creation.icosphere(2, radius)
-    faces = np.array(shape.faces)
-    return np.array(shape.vertices) + centre, faces if outwards else faces[:, ::-1]
-
-
-def together(*bodies: tuple[np.ndarray, np.ndarray]) -> vf.Surface:
-    vertices = np.vstack([v for v, _ in bodies])
-    starts = np.cumsum([0] + [len(v) for v, _ in bodies])
-    faces = np.vstack([f + start for (_, f), start in zip(bodies, starts, strict=False)])
-    return vf.Surface.from_arrays(vertices, faces)
+from tests.support.bodies import (
+    BOX_FACES,
+    STRAIGHT,
+    ball,
+    box,
+    cells,
+    crossing,
+    folded,
+    together,
+    wrong,
+)
 
 
 def drive(
@@ -136,32 +123,6 @@ def test_the_way_out_is_still_a_way_out() -> None:
             assert all(t < len(BOX_FACES) for t in crossed)
 
 
-def cells(
-    filled: set[tuple[int, int]], xs: list[float], zs: list[float], half: float
-) -> vf.Surface:
-    """The surface of a prism along y whose profile is the filled cells of a grid: one piece."""
-    corners = np.array([[x, y, z] for x in xs for y in (-half, half) for z in zs])
-    faces = []
-
-    def at(i: int, j: int, k: int) -> int:
-        return (2 * i + j) * len(zs) + k
-
-    def quad(a: int, b: int, c: int, d: int) -> None:
-        faces.extend([[a, b, c], [a, c, d]])
-
-    for i, k in filled:
-        low, high = (i, k), (i + 1, k + 1)
-        quad(*(at(p, 0, r) for p, r in (low, (i + 1, k), high, (i, k + 1))))
-        quad(*(at(p, 1, r) for p, r in (low, (i, k + 1), high, (i + 1, k))))
-        for beside, a, b in (
-            ((i, k - 1), low, (i + 1, k)), ((i + 1, k), (i + 1, k), high),
-            ((i, k + 1), high, (i, k + 1)), ((i - 1, k), (i, k + 1), low),
-        ):  # fmt: skip
-            if beside not in filled:
-                quad(at(a[0], 0, a[1]), at(a[0], 1, a[1]), at(b[0], 1, b[1]), at(b[0], 0, b[1]))
-    return vf.Surface.from_arrays(corners, faces)
-
-
 @pytest.mark.parametrize("tip", [0.0, 5e-4])
 @pytest.mark.parametrize(("gap", "thick"), [(1e-6, 1e-6), (5e-6, 2e-6), (2e-6, 1e-5), (1e-7, 1e-7)])
 def test_a_tick_on_the_way_out_passes_a_sheet_that_folds_back_only_once(
@@ -185,3 +146,139 @@ def test_a_tick_on_the_way_out_passes_a_sheet_that_folds_back_only_once(
                 assert len(heights) <= 1, f"{depth} m deep, {aside} m from the root"
                 q = new
             assert q[2] > -1e-8 or aside < gap  # and out it comes
+
+
+# Bodies that overlap, and walls nearer to each other than a tip can tell
+
+
+@pytest.mark.parametrize("tip", [0.0, 5e-4])
+@pytest.mark.parametrize("period", [1e-3, 5e-3])
+@pytest.mark.parametrize("away", [0.0, 1e-12, 1e-9, 1e-8, 1e-6, 5e-6, 1e-4])
+def test_a_tool_in_one_body_is_not_led_through_the_wall_of_another(
+    away: float, period: float, tip: float
+) -> None:
+    """The nearest wall leads into what both have in common."""
+    surface = together(
+        box((-0.01, -0.01, -0.01), (0.01, 0.01, 0.01)), box((0.0, -0.005, -0.005), (0.02,) * 3)
+    )
+    assert not surface.inside([0.005, 0.0, 0.0])
+    for goal in ([0.005, 0.0, 0.0], [0.03, 2e-3, 1e-3], [-1e-3, 0.0, 0.0], [1e-3, 0.02, 0.0]):
+        start = np.array([-away, 1e-3, 5e-4])
+        end, statuses, crossed = drive(surface, start, goal, 20, tip_radius=tip, dt=period)
+        assert not crossed, goal
+        assert end[0] <= 0.0
+        if away > 1e-11:
+            assert set(statuses) == {vf.Status.INSIDE}
+
+
+@pytest.mark.parametrize("goal", [(-0.03, 0.01, 0.0), (-0.004, 0.012, 0.0), (0.01, 0.03, 0.0)])
+def test_beside_an_overlapping_body_there_is_a_way_out(goal: tuple[float, ...]) -> None:
+    surface = together(
+        box((-0.01, -0.01, -0.01), (0.01, 0.01, 0.01)), box((0.0, -0.02, -0.02), (0.02,) * 3)
+    )
+    end, statuses, crossed = drive(surface, [-1e-4, 9.95e-3, 0.0], goal, 400)
+    assert statuses[0] is vf.Status.INSIDE
+    assert statuses[-1] is not vf.Status.INSIDE
+    assert exact.winding(exact.triangles_of(surface), end) == 0
+    assert all(t < len(BOX_FACES) for t in crossed)
+
+
+def attack(
+    name: str, surface: vf.Surface, start: np.ndarray, up: np.ndarray, rng: np.random.Generator
+) -> int:
+    """A few ticks of an arm whose tip starts at `start` in the frame of the mesh, towards anything.
+
+    Returns:
+        How many ticks began inside.
+    """
+    arm = robots.load(name)
+    turn = pin.exp3(rng.normal(size=3)) if rng.random() < 0.5 else STRAIGHT
+    q = np.clip(
+        arm.neutral + 0.06 * rng.uniform(-1, 1, len(arm.lower)) * (arm.upper - arm.lower),
+        arm.lower, arm.upper,
+    )  # fmt: skip
+    placed = (surface.vertices - start) @ turn.T + arm.tip(q).translation
+    surface = vf.Surface.from_arrays(placed, surface.faces)
+    triangles = exact.triangles_of(surface)
+    settings = vf.Settings(
+        tip_radius=rng.choice([0.0, 5e-4, 5e-3]), dt=rng.choice([1e-3, 5e-3, 2e-2]),
+        standoff=rng.choice([1e-6, 2e-5, 1e-3]),
+    )  # fmt: skip
+    controller = vf.Controller(arm, [vf.MeshFixture(surface)], settings)
+    opponent, ahead = rng.integers(4), rng.normal(size=3)
+    began = 0
+    for _ in range(rng.integers(3, 10)):
+        T = arm.tip(q)
+        x = T.translation
+        to_wall = surface.nearest(x)[2] - x
+        wish = (turn @ up, ahead, rng.normal(size=3), to_wall)[opponent]
+        goal = x + 5e-3 * wish / max(float(np.linalg.norm(wish)), 1e-12)
+        step = controller.step(q, pin.SE3(T.rotation, goal))
+        began += step.status is vf.Status.INSIDE
+        if (step.q != q).any() and exact.winding(triangles, x) is not None:
+            why = wrong(triangles, x, step.tip.translation)
+            assert not why, (why, x.tolist(), step.tip.translation.tolist(), settings)
+            places = np.linspace(0.0, 1.0, 5)[:, None]
+            path = [arm.tip(p).translation for p in (1.0 - places) * q + places * step.q]
+            met = [exact.passages(triangles, *ends) for ends in pairwise(path)]
+            assert sum(len({place for _, place, _ in m}) for m in met) <= 1
+        q = step.q
+    return began
+
+
+def attack_folds(arms: list[str], seed: int, cases: int) -> int:
+    rng = np.random.default_rng(seed)
+    began = 0
+    for _ in range(cases):
+        surface, zs = folded(rng, 10 ** rng.uniform(-9, -5))
+        aside = 10 ** rng.uniform(-9, -4) * rng.choice([-1, 1], p=[0.25, 0.75])
+        layer = int(rng.integers(1, len(zs) - 1))
+        low, high = zs[layer], zs[layer + 1]
+        height = -(10 ** rng.uniform(-9, -4.3)) if rng.random() < 0.7 else rng.uniform(low, high)
+        start = np.array([aside, 1e-3 * rng.uniform(-1, 1), height])
+        began += attack(rng.choice(arms), surface, start, np.array([0.0, 0.0, 1.0]), rng)
+    return began
+
+
+def attack_overlaps(arms: list[str], seed: int, cases: int) -> int:
+    rng = np.random.default_rng(seed)
+    began = 0
+    for _ in range(cases):
+        surface = crossing(rng)
+        face = rng.integers(len(surface.faces))
+        point = rng.dirichlet([1, 1, 1]) @ exact.triangles_of(surface)[face]
+        aside = rng.choice([-1, 1]) * 10 ** rng.uniform(-9, -4)
+        start = point + aside * surface.normals[face]
+        began += attack(rng.choice(arms), surface, start, -surface.normals[face], rng)
+    return began
+
+
+@pytest.mark.parametrize("gap", [1e-9, 1e-8, 1.3e-7])
+@pytest.mark.parametrize("depth", [2.2e-9, 5e-9, 9e-9])
+def test_sheets_next_to_the_root_of_a_fold_are_passed_one_at_most(depth: float, gap: float) -> None:
+    """The first of three walls is as far from the tip as the root that they hang together by."""
+    flap = {(0, 0), (1, 0), (2, 0), (1, 1), (1, 2), (2, 2)}
+    surface = cells(flap, [-5e-3, -1e-6, 0.0, 5e-3], [-5e-3, 0.0, gap, 2.0 * gap], 4e-3)
+    triangles = exact.triangles_of(surface)
+    for aside in (1e-9, 3.2e-9, 1e-6):
+        _, _, crossed = drive(surface, [aside, 1e-3, -depth], [aside, 1e-3, 5e-3], 10)
+        heights = {t[0, 2] for t in triangles[crossed] if np.ptp(t[:, 2]) == 0.0}
+        assert heights <= {0.0}, aside
+
+
+ARMS = ["psm", "panda", "ur5"]
+
+
+def test_a_tick_passes_one_of_many_sheets_of_a_fold() -> None:
+    assert attack_folds(["point"], 1, 20) > 40
+
+
+def test_a_tick_passes_no_wall_that_does_not_lead_out_of_all_bodies() -> None:
+    assert attack_overlaps(["point"], 0, 20) > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_no_arm_passes_what_does_not_lead_out(seed: int) -> None:
+    assert attack_folds(ARMS, 10 + seed, 100) > 150
+    assert attack_overlaps(ARMS, 20 + seed, 100) > 80

@@ -10,7 +10,9 @@ import trimesh
 import robots
 import vf
 from tests.support import exact, naive
-from vf.cover import Buffer
+from vf.cover import EASE, walk_alone
+from vf.layout import PLANE
+from vf.planes import Planes, planes_of
 
 STANDOFF = 1e-3
 RADIUS = 5e-3
@@ -56,6 +58,16 @@ def fixtures(surface: vf.Surface, others: int, corridor: bool) -> list[vf.Fixtur
     return found
 
 
+def walked(surface: vf.Surface, x: np.ndarray, room: int) -> Planes:
+    """What a walk finds that has room for so many planes."""
+    planes, tree = np.empty((room, PLANE)), surface.tree
+    m, reach = walk_alone(
+        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
+        x, RADIUS, STANDOFF, 0.0, EASE, planes,
+    )  # fmt: skip
+    return planes_of(planes[:m], reach)
+
+
 @pytest.mark.parametrize("queries", [1, 2, 3, 8])
 def test_a_walk_takes_no_more_planes_than_it_may_whatever_room_there_is(queries: int) -> None:
     most = 0
@@ -64,8 +76,7 @@ def test_a_walk_takes_no_more_planes_than_it_may_whatever_room_there_is(queries:
         rng = np.random.default_rng(count)
         triangles, _ = trapped(rng, count)
         surface = exact.soup(triangles)
-        buffer = Buffer(queries)
-        found = buffer.cut(*buffer.fill(surface, np.zeros(3), RADIUS, STANDOFF, 0.0))
+        found = walked(surface, np.zeros(3), queries * MOST)
         assert len(found) <= MOST, f"{count} pins, room for {queries} walks"
         most = max(most, len(found))
         assert exact.leaking(triangles, found, np.zeros(3)).size == 0
@@ -107,11 +118,10 @@ def test_a_cavity_smaller_than_the_standoff_is_no_more_than_a_walk_may_take() ->
     most = 0
     for _ in range(12):
         x = rng.normal(size=3) * 3e-5
-        buffer = Buffer(3)
-        m, reach = buffer.fill(surface, x, RADIUS, STANDOFF, 0.0)
-        assert m <= MOST
-        most = max(most, m)
-        assert exact.leaking(triangles, buffer.cut(m, reach), x).size == 0
+        found = walked(surface, x, 3 * MOST)
+        assert len(found) <= MOST
+        most = max(most, len(found))
+        assert exact.leaking(triangles, found, x).size == 0
     assert most > 10
 
 

@@ -357,21 +357,21 @@ def test_bad_input_is_refused_by_its_value(change, word):
 def test_the_queue_gives_the_nearest_first_whatever_comes_and_goes():
     """Against heapq, with ties, from empty to some hundred entries and back."""
     rng = np.random.default_rng(3)
-    keys, items = np.full(512, np.nan), np.full(512, -1)
+    queue = np.full((512, 2), np.nan)
     expected: list[tuple[float, int]] = []
     size = 0
     for turn in range(5_000):
         growing = turn % 1000 < 500
         if size == 0 or (size < 500 and rng.random() < (0.7 if growing else 0.3)):
             key = float(rng.integers(50))
-            cover._push(keys, items, size, key, turn)
+            cover._push(queue, size, key, turn)
             heapq.heappush(expected, (key, turn))
             size += 1
         else:
-            key, item = float(keys[0]), int(items[0])
-            cover._pop(keys, items, size)
+            key, item = float(queue[0, 0]), int(queue[0, 1])
+            cover._pop(queue, size)
             size -= 1
             assert key == expected[0][0]
             expected.remove((key, item))
             heapq.heapify(expected)
-        assert sorted(zip(keys[:size], items[:size], strict=True)) == sorted(expected)
+        assert sorted(map(tuple, queue[:size].tolist())) == sorted(expected)

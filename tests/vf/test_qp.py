@@ -1,7 +1,7 @@
 """The constrained least squares: optimality from residuals, and against an active-set method.
 
 The other solver is Lawson and Hanson's: least distance programming by non-negative least squares
-(scipy.optimize.nnls), which is exact up to rounding and shares nothing with OSQP.
+(scipy.optimize.nnls), which is exact up to rounding and shares nothing with the solvers.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
 
@@ -25,6 +26,14 @@ from vf import ConstrainedLeastSquares, Solver
 ROOT = Path(__file__).parents[2]
 UM = 1e-6
 DAMPING = 1e-8
+
+
+@pytest.fixture(params=vf.SOLVERS)
+def kind(request):
+    """The name of each solver: all have the same to do."""
+    return request.param
+
+
 OPTIMAL = {Solver.FREE, Solver.PROJECTED, Solver.SOLVED}
 ARMS = {3: robots.load("point"), 6: robots.load("psm"), 7: robots.load("panda")}
 
@@ -101,9 +110,9 @@ class Problem:
         assert scaled[~high].min(initial=0) > -2 * UM
 
 
-@pytest.fixture(scope="module")
-def solvers() -> dict[int, ConstrainedLeastSquares]:
-    return {n: ConstrainedLeastSquares(n) for n in (3, 6, 7)}
+@pytest.fixture
+def solvers(kind: str) -> dict[int, ConstrainedLeastSquares]:
+    return {n: ConstrainedLeastSquares(n, solver=kind) for n in (3, 6, 7)}
 
 
 SIZES = [(n, m) for n in (3, 6, 7) for m in (0, 1, 3, 10, 40, 100)]
@@ -137,7 +146,7 @@ def test_random_problems_are_solved_to_optimality(n, m, solvers):
         assert constrained >= 20 - spent
 
 
-def test_the_reference_is_right_where_the_answer_is_known():
+def test_the_reference_is_right_where_the_answer_is_known(kind):
     """A point pushed at a wall slides along it: drop the component into the wall."""
     problem = Problem(np.random.default_rng(0), 3, 0)
     problem.J, problem.d = np.eye(3), np.array([1e-3, 2e-3, -3e-3])
@@ -145,16 +154,16 @@ def test_the_reference_is_right_where_the_answer_is_known():
     problem.lower, problem.upper = np.full(3, -1.0), np.full(3, 1.0)
     expected = [1e-3, 2e-3, -1e-3]
     assert np.allclose(problem.reference(), expected, atol=1e-9)
-    solution = ConstrainedLeastSquares(3).solve(*problem.arguments)
+    solution = ConstrainedLeastSquares(3, solver=kind).solve(*problem.arguments)
     assert np.allclose(solution.dq, expected, atol=UM / 10)
     # It wanted 2 mm more than the wall lets it have.
     assert solution.multipliers == pytest.approx([2e-3], abs=UM)
 
 
-def test_an_unconstrained_optimum_needs_no_solver():
+def test_an_unconstrained_optimum_needs_no_solver(kind):
     problem = Problem(np.random.default_rng(1), 6, 5)
     problem.lower, problem.upper, problem.b = np.full(6, -9.0), np.full(6, 9.0), np.full(5, -9.0)
-    solution = ConstrainedLeastSquares(6).solve(*problem.arguments)
+    solution = ConstrainedLeastSquares(6, solver=kind).solve(*problem.arguments)
     assert solution.solver is Solver.FREE
     augmented = np.vstack([problem.J, np.sqrt(problem.damping) * np.eye(6)])
     expected = np.linalg.lstsq(augmented, np.r_[problem.d, np.zeros(6)], rcond=None)[0]
@@ -162,13 +171,13 @@ def test_an_unconstrained_optimum_needs_no_solver():
     assert not solution.multipliers.any()
 
 
-def test_answers_do_not_depend_on_what_was_solved_before():
+def test_answers_do_not_depend_on_what_was_solved_before(kind):
     rng = np.random.default_rng(2)
     problems = [Problem(rng, 6, m) for m in (4, 90, 12, 33, 5, 250)]
     hard = Problem(rng, 6, 60)
     hard.b = 1e-3 * rng.normal(size=60)  # infeasible or nearly so: many iterations, ρ adapted
-    fresh = [ConstrainedLeastSquares(6).solve(*p.arguments) for p in problems]
-    used = ConstrainedLeastSquares(6)
+    fresh = [ConstrainedLeastSquares(6, solver=kind).solve(*p.arguments) for p in problems]
+    used = ConstrainedLeastSquares(6, solver=kind)
     for turn in range(3):
         for problem, expected in zip(problems[::-1], fresh[::-1], strict=True):
             used.solve(*hard.arguments)
@@ -179,9 +188,9 @@ def test_answers_do_not_depend_on_what_was_solved_before():
             assert again.solver is expected.solver, turn
 
 
-def test_answers_are_the_callers_to_keep():
+def test_answers_are_the_callers_to_keep(kind):
     rng = np.random.default_rng(3)
-    solver = ConstrainedLeastSquares(6)
+    solver = ConstrainedLeastSquares(6, solver=kind)
     first = solver.solve(*Problem(rng, 6, 20).arguments)
     kept = first.dq.copy(), first.multipliers.copy()
     for _ in range(5):
@@ -191,9 +200,9 @@ def test_answers_are_the_callers_to_keep():
 
 
 @pytest.mark.parametrize("n", [3, 6, 7])
-def test_an_infeasible_problem_is_no_motion(n):
+def test_an_infeasible_problem_is_no_motion(n, kind):
     rng = np.random.default_rng(4)
-    solver = ConstrainedLeastSquares(n)
+    solver = ConstrainedLeastSquares(n, solver=kind)
     for _ in range(20):
         problem = Problem(rng, n, 5)
         g = problem.G[0]
@@ -206,21 +215,21 @@ def test_an_infeasible_problem_is_no_motion(n):
             assert not solution.dq.any()
 
 
-def test_more_motion_than_the_joints_have_is_infeasible():
+def test_more_motion_than_the_joints_have_is_infeasible(kind):
     problem = Problem(np.random.default_rng(5), 3, 0)
     problem.J, problem.d = np.eye(3), np.zeros(3)
     problem.G, problem.b = np.array([[0.0, 0.0, 1.0]]), np.array([1e-3])
     problem.lower, problem.upper = np.full(3, -1e-4), np.full(3, 1e-4)
-    solution = ConstrainedLeastSquares(3).solve(*problem.arguments)
+    solution = ConstrainedLeastSquares(3, solver=kind).solve(*problem.arguments)
     assert solution.solver in (Solver.INFEASIBLE, Solver.NOT_CONVERGED)
     assert (np.abs(solution.dq) <= 1e-4).all()
 
 
-def test_a_row_that_no_joint_moves_is_infeasible_only_if_it_asks_for_motion():
+def test_a_row_that_no_joint_moves_is_infeasible_only_if_it_asks_for_motion(kind):
     problem = Problem(np.random.default_rng(6), 3, 1)
     problem.G = np.zeros((1, 3))
     problem.lower, problem.upper = np.full(3, -1.0), np.full(3, 1.0)
-    solver = ConstrainedLeastSquares(3)
+    solver = ConstrainedLeastSquares(3, solver=kind)
     problem.b = np.array([-1e-3])
     assert solver.solve(*problem.arguments).solver is Solver.FREE
     problem.b = np.array([1e-3])
@@ -231,10 +240,10 @@ def test_a_row_that_no_joint_moves_is_infeasible_only_if_it_asks_for_motion():
 
 @pytest.mark.parametrize("scale", [1e-9, 1e-6, 1.0, 1e3, 1e6])
 @pytest.mark.parametrize("part", ["d", "G", "J", "b", "bounds"])
-def test_badly_scaled_input_ends_in_a_status_not_in_motion(part, scale):
+def test_badly_scaled_input_ends_in_a_status_not_in_motion(part, scale, kind):
     """Whatever the scales: finite, within the bounds, and what is called solved obeys its rows."""
     rng = np.random.default_rng(7)
-    solver = ConstrainedLeastSquares(6)
+    solver = ConstrainedLeastSquares(6, solver=kind)
     for _ in range(15):
         problem = Problem(rng, 6, 12)
         if part == "d":
@@ -261,9 +270,9 @@ def test_badly_scaled_input_ends_in_a_status_not_in_motion(part, scale):
             assert ((problem.G @ solution.dq - problem.b) / size).min() > -2 * UM
 
 
-def test_bounds_hold_to_the_last_bit_even_without_convergence():
+def test_bounds_hold_to_the_last_bit_even_without_convergence(kind):
     rng = np.random.default_rng(8)
-    solver = ConstrainedLeastSquares(7)
+    solver = ConstrainedLeastSquares(7, solver=kind)
     seen = set()
     for _ in range(200):
         problem = Problem(rng, 7, 60)
@@ -279,12 +288,14 @@ def test_bounds_hold_to_the_last_bit_even_without_convergence():
     assert seen & {Solver.INFEASIBLE, Solver.NOT_CONVERGED}
 
 
-def test_pacing_keeps_the_direction():
+def test_pacing_keeps_the_direction(kind):
     """A far goal is approached in a straight line: no joint gets ahead of the slowest."""
     problem = Problem(np.random.default_rng(9), 3, 0)
     problem.J, problem.d = np.eye(3), np.array([3e-3, -1e-3, 0.5e-3])
     problem.lower, problem.upper = np.full(3, -2e-4), np.full(3, 2e-4)
-    solution = ConstrainedLeastSquares(3).solve(*problem.arguments, pace=np.full(3, 2e-4))
+    solution = ConstrainedLeastSquares(3, solver=kind).solve(
+        *problem.arguments, pace=np.full(3, 2e-4)
+    )
     assert np.abs(solution.dq).max() == pytest.approx(2e-4, rel=1e-6)
     assert np.allclose(solution.dq / np.linalg.norm(solution.dq),
                        problem.d / np.linalg.norm(problem.d), atol=1e-6)  # fmt: skip
@@ -298,11 +309,11 @@ def test_the_number_of_joints_is_checked():
 SOLVES = """
 import os, signal, sys
 import numpy as np
-from vf import ConstrainedLeastSquares, qp
+from vf import ConstrainedLeastSquares, solver_osqp
 
 told = int(sys.argv[1])
 found = heard = 0
-ask = qp._heard
+ask = solver_osqp._interrupted
 
 def asked():
     global found
@@ -315,7 +326,7 @@ def hear(number, frame):
     heard += 1
     os.write(told, b"!")
 
-qp._heard = asked
+solver_osqp._interrupted = asked
 random = np.random.default_rng(0)
 problem = (
     random.normal(size=(6, 6)), 1e-2 * random.normal(size=6), 1e-6,
@@ -356,3 +367,47 @@ def test_an_interrupt_while_osqp_solves_is_heard_and_changes_no_answer() -> None
         process.kill()
         process.wait()
         os.close(read)
+
+
+def test_unknown_solvers_are_refused_with_the_known_ones() -> None:
+    for attempt in (
+        lambda: ConstrainedLeastSquares(3, solver="simplex"),
+        lambda: vf.Settings(solver="simplex"),
+    ):
+        with pytest.raises(ValueError, match=r"'simplex'.*osqp, daqp"):
+            attempt()
+
+
+def test_a_solver_that_is_not_installed_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    monkeypatch.delitem(sys.modules, "vf.solver_daqp", raising=False)
+    with pytest.raises(RuntimeError, match=r"daqp.*pip install 'vf-sandbox\[daqp\]'"):
+        ConstrainedLeastSquares(3, solver="daqp")
+
+
+def test_ticks_end_at_the_same_place_whichever_solver_settles_them() -> None:
+    """Down into a pit with three walls, where solvers are asked; they differ by tolerances only."""
+    arm = robots.load("psm")
+    tip = arm.tip(arm.neutral)
+    rim = [[0.02 * np.cos(a), 0.02 * np.sin(a), 0.0] for a in (0.1, 2.2, 4.3)]
+    pit = np.array([[0.0, 0.0, -0.02], *rim]) + tip.translation + [0.0, 0.0, 5e-3]
+    surface = vf.Surface.from_arrays(pit, [[0, 1, 2], [0, 2, 3], [0, 3, 1]])
+    rng = np.random.default_rng(3)
+    goals = pit[0] + [0.0, 0.0, -0.01] + rng.uniform(-8e-3, 8e-3, (6, 3))
+    ends = []
+    for solver in vf.SOLVERS:
+        controller = vf.Controller(arm, [vf.MeshFixture(surface)], vf.Settings(solver=solver))
+        q = arm.neutral
+        asked = 0
+        tips = []
+        for goal in goals:
+            target = pin.SE3(tip.rotation, goal)
+            for _ in range(150):
+                step = controller.step(q, target)
+                q = step.q
+                asked += step.solver is Solver.SOLVED
+                assert step.status is vf.Status.SOLVED
+            tips.append(step.tip.translation)
+        assert asked > 300, solver
+        ends.append(np.array(tips))
+    assert np.abs(ends[0] - ends[1]).max() < 2 * UM

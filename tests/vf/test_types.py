@@ -9,9 +9,25 @@ from numba.core.dispatcher import Dispatcher
 
 import robots
 import vf
-from vf import closest, conditions, corridor, cover, haptics, pdtree, problem, surface, winding
+from vf import (
+    chain,
+    closest,
+    conditions,
+    corridor,
+    cover,
+    haptics,
+    inside,
+    pdtree,
+    problem,
+    surface,
+    tick,
+    winding,
+)
 
-MODULES = (closest, conditions, corridor, cover, haptics, pdtree, problem, surface, winding)
+MODULES = (
+    chain, closest, conditions, corridor, cover, haptics, inside, pdtree, problem, surface, tick,
+    winding,
+)  # fmt: skip
 BLOCK = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)])  # integers
 FACES = [[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6]]
 

@@ -1,1 +1,1 @@
-"""What the measurements share: settings, the machine, the report, a browser that watches."""
+"""Shared by the benchmarks: settings, description of the machine, report, headless browser."""

@@ -1,4 +1,4 @@
-"""What a result has to say about where it was measured, and its statistics."""
+"""Description of the machine for a result, statistics, and writing of results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PACKAGES = (
 
 
 def machine() -> dict[str, Any]:
-    """Processor, load, Python and the versions of what takes part."""
+    """Processor, load, Python, and versions of the measured packages."""
     versions = {}
     for package in _PACKAGES:
         try:
@@ -51,7 +51,7 @@ def _processor() -> str:
 
 
 def resident() -> float | None:
-    """Memory this process has resident [MB], where the system tells."""
+    """Resident memory of this process [MB]; None if the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except (OSError, ValueError, IndexError):
@@ -60,7 +60,7 @@ def resident() -> float | None:
 
 
 def percentiles(samples: ArrayLike, of: Sequence[float] = (1, 50, 99)) -> tuple[float, ...]:
-    """Percentiles of a sample; NaN where there is none."""
+    """Percentiles of a sample; NaN for an empty one."""
     values = np.asarray(samples, dtype=np.float64)
     if not len(values):
         return tuple(float("nan") for _ in of)
@@ -69,7 +69,7 @@ def percentiles(samples: ArrayLike, of: Sequence[float] = (1, 50, 99)) -> tuple[
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """Python's garbage collector off for the duration: its pauses are nobody's query time."""
+    """Disable Python's garbage collector, whose pauses would count as query time."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -80,7 +80,7 @@ def no_collection() -> Iterator[None]:
 
 
 def write(folder: Path, name: str, result: dict[str, Any]) -> Path:
-    """Write a result as JSON (numbers that are not finite become null); returns the file."""
+    """Write a result as JSON (non-finite numbers become null); returns the file."""
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{name}.json"
     file.write_text(json.dumps(_plain(result), indent=1, allow_nan=False) + "\n")
@@ -92,6 +92,8 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

@@ -1,4 +1,4 @@
-"""Answers that owe nothing to `vf`: every library of `bench peers`, ours too, is held to them."""
+"""Reference answers for `bench peers`, independent of `vf`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ IntArray = NDArray[np.int64]
 
 
 def distances(corners: FloatArray, x: FloatArray) -> FloatArray:
-    """Distance of x (3,) to each triangle of corners (k, 3, 3), in whatever unit they are in.
+    """Distance of x (3,) to each triangle of corners (k, 3, 3), in their unit.
 
-    The plane's foot where it is inside, else the nearest of the three edges: no cases to get wrong.
+    To the projection onto the plane if it is in the triangle, else to the nearest edge.
     """
     a, b, c = corners.transpose(1, 0, 2)
     best = np.full(len(corners), np.inf)
@@ -67,9 +67,9 @@ class Centroids:
 def leak(
     corners: FloatArray, x: FloatArray, radius: float, normals: FloatArray, offsets: FloatArray
 ) -> float:
-    """How far a sample of the triangles (k, 3, 3) in the ball sticks out before every plane.
+    """Largest distance by which a sample of triangles (k, 3, 3) is in front of every plane [m].
 
-    Corners, edge middles and centroids are sampled; a value ≤ 0 means that none does.
+    Samples are corners, edge midpoints and centroids in the ball; ≤ 0: no leak.
     """
     a, b, c = corners.transpose(1, 0, 2)
     points = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])

@@ -1,4 +1,4 @@
-"""Results as tables on the terminal and as a figure."""
+"""Prints results as tables and draws the figure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from app.words import format_length
 
 
 def header(result: dict[str, Any], console: Console) -> None:
-    """Where and with what it was measured."""
+    """Print title and machine."""
     about = result["machine"]
     load = about["load before"]
     console.print(f"[bold]{result['what']}[/]")
@@ -155,7 +155,7 @@ def figure(result: dict[str, Any], file: Path) -> None:
                 alpha=1.0 - 0.14 * k,
                 label=f"{rule}, r = {format_length(radius)}",
             )
-            if k == 0:  # one band is enough to read the spread from
+            if k == 0:  # one band per rule shows the spread
                 slow = [1e3 / row["tick [us]"]["p99"] for row in line]
                 fast = [1e3 / row["tick [us]"]["p1"] for row in line]
                 axes.fill_between(sizes, slow, fast, color=colours[i % len(colours)], alpha=0.12)

@@ -1,4 +1,4 @@
-"""A fixed route for the proxy: into and along the anatomy at a dozen spots, half of them pits."""
+"""A deterministic route of the proxy: contacts and slides at twelve spots, half of them pits."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import vf
 
 FloatArray = NDArray[np.float64]
 
-HOVER = 6e-3  # the proxy starts this far above a spot [m]
-DEPTH = 3e-3  # and pushes this far below the surface [m]
-SLIDE = 8e-3  # while it travels this far along it [m]
-REACH = 0.03  # spots lie within this of the middle, in the arm's easy reach [m]
+HOVER = 6e-3  # height of the start above a spot [m]
+DEPTH = 3e-3  # of the proxy below the surface while sliding [m]
+SLIDE = 8e-3  # length of a slide [m]
+REACH = 0.03  # largest horizontal distance of a spot from the arm's neutral tip [m]
 SPOTS = 12
-TICKS = 200  # of 1 ms for a spot's path: slow enough for the PSM's insertion to follow (0.2 m/s)
-_PIT = 4e-3  # scale at which a spot counts as a pit [m]
+TICKS = 200  # of 1 ms per spot, slow enough for the PSM's insertion joint (0.2 m/s)
+_PIT = 4e-3  # radius over which hollowness is measured [m]
 _CANDIDATES = 240
 
 
@@ -29,9 +29,9 @@ class Route:
 
     Attributes:
         rotation: (3, 3) of every pose.
-        starts: joint vectors (n,) whose tip is at the beginning of each path.
+        starts: joints (n,) with the tip at the beginning of each path.
         paths: polylines (k, 3) [m].
-        pits: (k,) whether the spot is one of those chosen for being hollow.
+        pits: whether each spot was chosen for its hollowness.
     """
 
     rotation: FloatArray
@@ -40,7 +40,7 @@ class Route:
     pits: tuple[bool, ...]
 
     def targets(self, spot: int) -> list[pin.SE3]:
-        """The proxy at `TICKS` instants of a spot's path, at an even speed."""
+        """The proxy at `TICKS` instants of a spot's path, at constant speed."""
         path = self.paths[spot]
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         s = np.linspace(0.0, arc[-1], TICKS)
@@ -51,8 +51,8 @@ class Route:
 def plan(surface: vf.Surface, arm: robots.Arm, spots: int = SPOTS) -> Route:
     """A route over the upper (+z) side of a surface below the arm's tip.
 
-    Down from free space, on into the surface, along it below the skin, and up again: the tool is
-    free, touches, slides, and in the pits slides against several walls.
+    Each path goes from free space into the surface, along and below it, and up again: the tool is
+    free, in contact, sliding, and in a pit sliding against several walls.
 
     Raises:
         ValueError: no spot of the surface can be reached from above.
@@ -60,7 +60,7 @@ def plan(surface: vf.Surface, arm: robots.Arm, spots: int = SPOTS) -> Route:
     T = arm.tip(arm.neutral)
     found = []
     for k in range(_CANDIDATES):
-        # A sunflower spiral covers the disc evenly.
+        # A Fermat spiral covers the disc evenly.
         distance, angle = REACH * np.sqrt(k / _CANDIDATES), k * np.pi * (3.0 - np.sqrt(5.0))
         xy = T.translation[:2] + distance * np.array([np.cos(angle), np.sin(angle)])
         point = _highest(surface, xy)
@@ -70,8 +70,8 @@ def plan(surface: vf.Surface, arm: robots.Arm, spots: int = SPOTS) -> Route:
     hollow = np.array([_hollowness(surface, p) for p in candidates])
     chosen: list[FloatArray] = []
     starts, paths, pits = [], [], []
-    # In turn the most hollow one and the one farthest from all that were chosen, so that the first
-    # few are a fair sample too.
+    # Alternately the most hollow candidate and the one farthest from those chosen, so that the
+    # first few are representative too.
     while len(candidates) and len(chosen) < spots:
         pit = len(chosen) % 2 == 0
         if pit:
@@ -113,7 +113,7 @@ def _highest(surface: vf.Surface, xy: FloatArray) -> FloatArray | None:
 
 
 def _hollowness(surface: vf.Surface, p: FloatArray) -> float:
-    """How far the surface around p (3,) rises above it, seen from above; > 0 in a pit."""
+    """Mean height of the surface around p (3,) above it [m]; > 0 in a pit."""
     around = surface.vertices[surface.faces[surface.within(p, _PIT).triangles, 0]]
     return float((around[:, 2] - p[2]).mean())
 
@@ -124,7 +124,7 @@ def _path(surface: vf.Surface, spot: FloatArray, index: int) -> FloatArray:
     slide = [spot]
     for s in np.linspace(0.0, SLIDE, 9)[1:]:
         here = _highest(surface, (spot + s * along)[:2])
-        # Past an edge of the shape the proxy goes straight on.
+        # Beyond an edge of the shape the path stops.
         slide.append(here if here is not None and abs(here[2] - spot[2]) < SLIDE else slide[-1])
     up = np.array([0.0, 0.0, 1.0])
     below = np.array(slide) - DEPTH * up

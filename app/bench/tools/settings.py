@@ -1,4 +1,4 @@
-"""What the measurements can be told on the command line."""
+"""Command-line options of the benchmarks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from app.kinds import File, Many, Maybe, Number, OneOf, Path, Switch, Whole
 from app.options import Checked, like, option
 from app.settings import Options, number
 
-# Repeated in `meshes.builtin.ladder`, which is slow to import where only help is asked for.
+# Duplicated in `meshes.builtin.ladder`, whose import is slow.
 SIZES = (51_978, 103_956, 207_912, 415_824, 989_376)
 RADII: tuple[float | None, ...] = (5e-3, 2e-3, 1e-3, 5e-4, None)
 PHASES = ("idle", "dragging", "loading", "examining", "joining")

@@ -1,7 +1,7 @@
-"""A headless Chromium that looks at a page, in a process of its own: `-m …watcher URL`.
+"""A headless Chromium that displays a page, in a separate process: `-m …watcher URL`.
 
-Apart, so that driving the browser takes nothing from the interpreter that is being measured. Words
-on standard input (`frames`, `join`, `leave`, `again`, `quit`) are each answered by a line of JSON.
+Separate, so that driving the browser does not load the measured interpreter. Requests on standard
+input (`frames`, `join`, `leave`, `again`) are each answered by a line of JSON.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-WINDOW = {"width": 1440, "height": 900}  # as people have one, at one pixel for each [px]
+WINDOW = {"width": 1440, "height": 900}  # [CSS px]
 
-# Software rendering; the rest keeps a container and its network out of the way.
+# Software rendering; the rest disables what does not work in a container, and network traffic.
 ARGUMENTS = (
     "--no-sandbox",
     "--use-angle=swiftshader",
@@ -37,14 +37,14 @@ _COUNT = """() => {
 
 
 class NoBrowser(RuntimeError):
-    """No page can be watched here; the message says why."""
+    """No browser is available; the message says why."""
 
 
 def chromium() -> str:
-    """Path of a Chromium or Chrome: VF_CHROMIUM, or the usual names.
+    """Path of a Chromium or Chrome: the variable VF_CHROMIUM, or the usual names.
 
     Raises:
-        NoBrowser: there is none.
+        NoBrowser: not found.
     """
     names = (os.environ.get("VF_CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
     for name in names:
@@ -54,13 +54,13 @@ def chromium() -> str:
 
 
 class Watcher:
-    """The other end of this module, or of one like it: starts the process and talks to it."""
+    """Starts this module, or a similar one, as a process and communicates with it."""
 
     def __init__(self, url: str, module: str = "app.bench.tools.watcher") -> None:
         """Open the page and wait until it draws.
 
         Raises:
-            NoBrowser: Playwright or Chromium is missing, or the page never drew.
+            NoBrowser: Playwright or Chromium is missing, or the page did not draw.
         """
         chromium()
         self._process = subprocess.Popen(
@@ -86,8 +86,8 @@ class Watcher:
     ) -> None:
         self.close()
 
-    def tell(self, word: str) -> dict[str, Any]:
-        """Send a word and wait for its answer."""
+    def request(self, word: str) -> dict[str, Any]:
+        """Send a request and wait for its answer."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(word + "\n")
@@ -119,12 +119,12 @@ class Watcher:
 
 
 def browse(work: Callable[[Any], None]) -> int:
-    """In a process of its own: do some work with a browser; returns the exit code.
+    """In the separate process: run `work` with a browser; returns the exit code.
 
-    Whatever goes wrong with Playwright, Chromium or the page is the answer to who started it.
+    Errors of Playwright, Chromium or the page are sent as the answer to the parent process.
     """
     if sys.platform.startswith("linux"):
-        # A user's browser is not started by the server and has no share in its priority.
+        # Unlike this one, a user's browser does not inherit the server's raised priority.
         os.setpriority(os.PRIO_PROCESS, 0, 0)
     try:
         from playwright.sync_api import Error, sync_playwright
@@ -143,7 +143,7 @@ def browse(work: Callable[[Any], None]) -> int:
 
 
 def answer(**fields: Any) -> None:
-    """Answer the process that started this one."""
+    """Send an answer to the parent process."""
     print(json.dumps(fields), flush=True)
 
 
@@ -159,8 +159,6 @@ def _watch(browser: Any, url: str) -> None:
         elif word == "again":
             pages.pop(0).context.close()
             pages.insert(0, _open(browser, url))
-        elif word == "quit":
-            break
         answer(frames=pages[0].evaluate("window.seen"), pages=len(pages))
 
 

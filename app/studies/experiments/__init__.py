@@ -1,1 +1,1 @@
-"""The paper's experiments in silico: simulated operators on the real controller."""
+"""The paper's experiments in simulation: a simulated operator with the real controller."""

@@ -1,8 +1,8 @@
-"""Fit the operator to the paper's teleoperation arm, and to nothing else.
+"""Fits the operator model to the paper's results without the fixture.
 
-Six values of the model are sought for which plain teleoperation has the paper's six figures: mean
-and standard deviation of |penetration| and of cutting-path deviation, the time of a cut, and the
-smoothness of tracing. What the model then says about the fixture is a prediction.
+Six parameters are fitted so that plain teleoperation has the paper's six figures: mean and standard
+deviation of |penetration| and of cutting-path deviation, the time of a cut, and the smoothness of
+tracing. The model's results with the fixture are then a prediction.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from app.studies.results import published
 
 FloatArray = NDArray[np.float64]
 
-# What is fitted, and where the search starts: guesses, kept apart from the operator's own values so
-# that the fit does not depend on its last outcome.
+# Fitted parameters and their initial values, which do not depend on the operator's present values.
 START = {
     "view_angle": 0.65,  # [rad]
     "depth_bias": 0.8e-3,  # [m]
@@ -33,18 +32,18 @@ START = {
     "tracing_stroke": 0.4e-3,  # [m]
 }
 FITTED = tuple(START)
-CUTTING_RATE = 100.0  # [Hz]: shape and time of a cut do not depend on it
-TRACING_RATE = 1000.0  # [Hz]: smoothness may
-TRACES = 4  # of tracing behind every figure: its smoothness differs little between trials
-SETTLED = 3  # rounds of correcting the two paces
-DIFFERENCE = 0.25  # in the logarithm of a value: large, for the figures are noisy
+CUTTING_RATE = 100.0  # shape and time of a cut do not depend on it [Hz]
+TRACING_RATE = 1000.0  # smoothness may depend on it [Hz]
+TRACES = 4  # tracing trials per figure: smoothness varies little between trials
+SETTLED = 3  # final corrections of the two strokes
+DIFFERENCE = 0.25  # finite difference in the logarithm of a value, large as figures are noisy
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The fitted operator, and how near it comes: rows of name, wanted, reached.
+    """The fitted operator, with rows of name, wanted and reached figure.
 
-    `finished`: it is the fit; else the nearest that was found until an interrupt.
+    `finished`: the fit converged; else it was interrupted, and this is the best so far.
     """
 
     operator: Operator
@@ -66,7 +65,7 @@ def wanted() -> dict[str, float]:
 
 
 def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
-    """The same figures of simulated teleoperation; equal seeds give equal randomness."""
+    """The figures of `wanted`, of simulated teleoperation; deterministic for a seed."""
     place = site.build()
     planned = place.planned.moved(place.T_base_skull)
     start = place.T_base_start.translation
@@ -101,10 +100,10 @@ def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
 def calibrate(
     trials: int = 12, seed: int = 0, say: Callable[[str], None] = lambda _text: None
 ) -> Calibration:
-    """Fit the six values, by least squares of relative differences.
+    """Fit the six parameters, by least squares of the relative differences.
 
     Raises:
-        KeyboardInterrupt: before there was anything to compare.
+        KeyboardInterrupt: interrupted before the first evaluation was done.
     """
     goal = np.array(list(wanted().values()))
     start = np.log(list(START.values()))
@@ -128,7 +127,7 @@ def calibrate(
             xtol=1e-3, ftol=1e-4,
         )  # fmt: skip
         found = operator(fit.x)
-        # The two paces decide two of the figures nearly alone; what noise left is settled.
+        # Time and SAL depend nearly on one stroke each: correct these for the remaining error.
         for _ in range(SETTLED):
             figures = reached(found, trials, seed)
             found = replace(

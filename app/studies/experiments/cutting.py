@@ -1,4 +1,4 @@
-"""What a cutter leaves of the bone, and how far the cut is from the plan."""
+"""Removal of bone by a blade, and the deviation of the cut from the plan."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from app.studies.experiments.site import THICKNESS, PlannedCut
 
 FloatArray = NDArray[np.float64]
 
-INTERVAL = 1e-3  # between the stations that are measured, as in the paper [m]
+INTERVAL = 1e-3  # between the measured stations, as in the paper [m]
 
 
 @dataclass(frozen=True)
 class Blade:
-    """A cutter around the tip, its sides along the cut. The sizes are assumed.
+    """A box-shaped blade at the tip, aligned with the cut. The sizes are assumed.
 
     Attributes:
         width: across the cut [m].
         thickness: along the cut [m].
-        limit: a shoulder that meets the outer surface lets it go no deeper than this [m].
+        limit: largest depth below the outer surface, where a shoulder stops the blade [m].
     """
 
     width: float = 0.6e-3
@@ -36,7 +36,7 @@ class Blade:
 
 @dataclass(frozen=True)
 class Kerf:
-    """The cut in cross-sections, one a station; NaN where the blade never was in the bone.
+    """The cut in cross-sections, one per station; NaN where no bone was cut.
 
     Attributes:
         stations: (k,) along the planned cut [m].
@@ -53,12 +53,12 @@ class Kerf:
 
     @property
     def deviation(self) -> FloatArray:
-        """Cutting-path deviation (k,): the middle of the cut from the plan, signed [m]."""
+        """Cutting-path deviation (k,): signed distance of the cut's middle from the plan [m]."""
         return np.asarray(0.5 * (self.left + self.right))
 
     @property
     def penetration(self) -> FloatArray:
-        """Penetration depth (k,): beyond the inner surface positive, bone left negative [m]."""
+        """Penetration depth (k,) beyond the inner surface; negative: remaining bone [m]."""
         return np.asarray(-self.bottom)
 
 
@@ -69,16 +69,16 @@ def kerf(
     stations: ArrayLike | None = None,
     thickness: float = THICKNESS,
 ) -> Kerf:
-    """Remove bone where the blade passed.
+    """Remove the bone that the blade swept.
 
     Every cross-section is cut by the part of the tip's path that is within half the blade's
-    thickness of it; the path is straight between ticks.
+    thickness of it; the path is linear between ticks.
 
     Args:
-        planned: the planned cut where the bone really is.
+        planned: the planned cut at the true pose of the bone.
         tips: (n, 3) positions of the tip, same frame [m].
-        blade: the default one if not given.
-        stations: (k,) where to look [m]; every `INTERVAL` from the first on if not given.
+        blade: None: the default one.
+        stations: (k,) along the planned cut [m]; None: every `INTERVAL`.
         thickness: of the bone [m].
     """
     blade = blade or Blade()

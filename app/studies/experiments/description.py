@@ -1,4 +1,4 @@
-"""What describes a trial. Cheap to import: the command line derives its options from it."""
+"""Description of a trial. Cheap to import: the command line derives its options from it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ WORKERS = Whole(0, 1000)  # processes of a study
 
 @dataclass(frozen=True)
 class Trial(Checked):
-    """One trial, completely described.
+    """The complete description of a trial.
 
     Attributes:
         experiment: tracing or cutting.
         rule: off is plain teleoperation; certified or paper guard the inner surface, and a corridor
             the path.
-        number: tells trials of one kind apart.
-        operator: 0 is the calibrated one, any other number somebody else.
+        number: of the trial, among trials with equal parameters.
+        operator: 0: the calibrated one; any other number: a random variation of it.
         mesh: skull, skull-coarse or skull-fine.
         noise: fiducial localisation error [m].
         width: of the corridor to either side [m].
@@ -35,7 +35,7 @@ class Trial(Checked):
         length: of the planned cut, None: all of it [m].
 
     Raises:
-        OptionError: a value that is none of these.
+        OptionError: an invalid value.
     """
 
     experiment: str = option(OneOf("experiment", EXPERIMENTS))
@@ -60,7 +60,7 @@ class Trial(Checked):
 
     @property
     def key(self) -> str:
-        """A name for files: equal for equal trials, different for different ones."""
+        """A file name that is unique for the trial's parameters."""
         length = "all" if self.length is None else f"{self.length * 1e3:g}mm"
         return (
             f"{self.experiment}-{self.mesh}-{self.rule}-noise{self.noise * 1e6:g}um"
@@ -73,10 +73,10 @@ class Trial(Checked):
         return self.rule != "off"
 
     def generator(self, purpose: int) -> np.random.Generator:
-        """Randomness for one purpose.
+        """The random generator for one purpose.
 
-        Tracing is compared in pairs: trials that differ in the rule alone have the same operator on
-        the same day. Cutting needs a new skull every time, so no two trials share anything.
+        Tracing is compared in pairs: trials that differ only in the rule have the same generator.
+        Cutting trials, each on a new skull, all have different ones.
         """
         import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the tool does with the operator's goals: the real controller, or an arm without fault."""
+"""Response of the tool to the operator's goals: the real controller, or ideal tracking."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ FloatArray = NDArray[np.float64]
 
 
 class Follower(Protocol):
-    """Takes the tool along goals, one a tick."""
+    """Moves the tool to goals, one per tick."""
 
     def __call__(self, goals: FloatArray) -> FloatArray:
-        """Where the tip is after each tick: (n, 3) for goals (n, 3), base frame [m]."""
+        """Position of the tip after each tick, (n, 3), for goals (n, 3), base frame [m]."""
         ...
 
 
 class FaultlessArm:
-    """Is always where it should be: plain teleoperation without speed limits, for calibration."""
+    """Ideal tracking: plain teleoperation without speed limits, for calibration."""
 
     def __call__(self, goals: FloatArray) -> FloatArray:
         return goals
 
 
 class ControlledArm:
-    """The controller of the sandbox on a real arm, tick by tick, without a clock.
+    """The sandbox's controller with an arm's kinematics, tick by tick, without a clock.
 
     Args:
         fixtures: none for plain teleoperation.
@@ -44,7 +44,7 @@ class ControlledArm:
     def __init__(
         self, arm: Arm, fixtures: Sequence[vf.Fixture], T_base_start: pin.SE3, dt: float
     ) -> None:
-        warm_up()  # in no trial's time
+        warm_up()  # before time is measured
         self._controller = vf.Controller(arm.copy(), list(fixtures), vf.Settings(dt=dt))
         self._goal = pin.SE3(T_base_start)
         self.q = arm.inverse(T_base_start, start=arm.neutral)

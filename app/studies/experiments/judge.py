@@ -1,8 +1,8 @@
-"""Did the tip ever pass the registered surface or leave the corridor? Asked after the trial.
+"""Tests after a trial whether the tip crossed the registered surface or left the corridor.
 
-Shares no code with the fixtures: `app.judges.boxes` finds the triangles near a step, which
-are tested one by one, in rational arithmetic where rounding leaves it open; the corridor is the
-distance from a plane.
+Shares no code with the fixtures: candidates come from `app.judges.boxes` and are tested one by one,
+in rational arithmetic where rounding leaves the answer open; the corridor is tested by the distance
+from a plane.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 
-ROOM = 1024  # triangles near a step, and pairs that rounding leaves open, for a start
-ROUNDING = 1e-12  # of a distance from a plane [m]
+ROOM = 1024  # initial capacity for triangles near a segment, and for undecided pairs
+ROUNDING = 1e-12  # tolerance of a distance from a plane [m]
 
 
 def crossings(vertices: FloatArray, faces: NDArray[np.int64], points: FloatArray) -> int:
-    """How many pairs of a step of a polyline (n, 3) and a triangle meet, touching included."""
+    """Number of pairs of a segment of a polyline (n, 3) and a triangle that meet or touch."""
     around, points = boxes.build(vertices, faces), np.ascontiguousarray(points)
     room, most = 0, ROOM
     while most > room:
@@ -35,9 +35,9 @@ def crossings(vertices: FloatArray, faces: NDArray[np.int64], points: FloatArray
 
 
 def outside(path: FloatArray, points: FloatArray, width: float) -> int:
-    """How many of the points (n, 3) are farther than `width` from the plane of a path (k, 3).
+    """Number of points (n, 3) farther than `width` from the plane of a path (k, 3).
 
-    Those before the first point that is not do not count: the tool may start outside.
+    Points before the first one inside do not count: the tool may start outside.
     """
     middle = path.mean(axis=0)
     normal = np.linalg.svd(path - middle)[2][2]
@@ -47,7 +47,7 @@ def outside(path: FloatArray, points: FloatArray, width: float) -> int:
 
 @njit(cache=True, nogil=True)
 def _count(vertices, faces, order, table, levels, points, near, doubtful):  # type: ignore[no-untyped-def]
-    """Pairs that meet for sure; the doubtful ones, and their number; the most room that it took."""
+    """(Pairs that certainly meet, undecided ones, required capacity); undecided ones are listed."""
     count = doubts = most = 0
     for i in range(points.shape[0] - 1):
         a, b = points[i], points[i + 1]

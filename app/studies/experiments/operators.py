@@ -1,12 +1,12 @@
-"""A surgeon's hand, simulated: what is seen, what is done about it, and what goes wrong.
+"""Model of a surgeon: perception, motion and their errors.
 
-The hand moves in submovements of minimum jerk, looks, waits for what it sees, and moves again.
-Depth is judged by eye through a stereo endoscope that looks obliquely onto the cut: an error along
-the line of sight is invisible in the picture, and is partly an error in depth and partly one aside.
-With the fixture on, the hand leaves depth to the fixture and presses lightly inwards; what is left
-to the eye is the picture, and the tip's place on a known surface follows from it.
+The hand moves in submovements of minimum jerk, with the visual delay between them. Depth is
+perceived through a stereo endoscope that views the cut obliquely: an error along the line of sight
+is invisible in the image, and is partly an error in depth and partly a lateral one. With the
+fixture on, the operator presses lightly inwards and leaves depth to the fixture; the tip's position
+on the known surface then follows from the image.
 
-All lengths are at the tool, that is after the scaling of teleoperation.
+All lengths are at the tool, i.e. after the scaling of teleoperation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _parameter(value: float, unit: str, source: str, about: str) -> Any:
 
 @dataclass(frozen=True)
 class Operator:
-    """One hand. Every field has its unit, its source and a description in its metadata."""
+    """Parameters of an operator; each field has unit, source and description in its metadata."""
 
     movement_time: float = _parameter(
         0.35, "s", "submovements last 0.2–0.5 s: Novak, Miller, Houk, Exp Brain Res 2002",
@@ -99,7 +99,7 @@ class Operator:
                 raise ValueError(f"{f.name} must be finite and zero or more, got {value!r}")
 
     def varied(self, rng: np.random.Generator, spread: float) -> Operator:
-        """Somebody else: the calibrated values times a log-normal factor of this spread."""
+        """Another operator: calibrated values times a log-normal factor of this spread."""
         names = [f.name for f in fields(self) if f.metadata["source"] == CALIBRATED]
         factors = np.exp(spread * rng.normal(size=len(names)))
         return replace(
@@ -109,7 +109,7 @@ class Operator:
 
 
 class Tremor:
-    """Tremor of 8–12 Hz, (n, 3) at a time; the pieces join seamlessly."""
+    """Tremor of 8–12 Hz in blocks of (n, 3) [m], continuous across blocks."""
 
     def __init__(self, size: float, rate: float, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -130,7 +130,7 @@ class Tremor:
 
 
 class SlowError:
-    """An Ornstein–Uhlenbeck process, asked at ever later times: exact at any distance."""
+    """An Ornstein–Uhlenbeck process, sampled exactly at increasing times."""
 
     def __init__(self, size: float, memory: float, rng: np.random.Generator) -> None:
         self._size, self._memory, self._rng = size, memory, rng
@@ -145,6 +145,6 @@ class SlowError:
 
 
 def minimum_jerk(n: int) -> FloatArray:
-    """Share (n,) of a movement done after each of its n ticks, 1 at the end (Flash, Hogan)."""
+    """Fraction (n,) of a minimum-jerk movement after each of its n ticks (Flash, Hogan)."""
     t = np.arange(1, n + 1) / n
     return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))

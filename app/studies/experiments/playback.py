@@ -1,4 +1,4 @@
-"""A trial in the page: the same goals through the same controller, in real time."""
+"""Playback of a trial in the page: the same goals and controller, in real time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Playback:
-    """The goals of a trial as a script; the last one stays.
+    """The goals of a trial as a script, which stays at the last one.
 
     Attributes:
         rotation: (3, 3) of every goal, arm base frame.
@@ -38,7 +38,7 @@ class Playback:
 
 
 def options(trial: Trial) -> Options:
-    """Settings of a session in which the trial's controller works."""
+    """Settings of a session with the trial's controller."""
     return Options(
         mesh="skull-precut" if trial.experiment == "tracing" else trial.mesh,
         robot="psm",
@@ -50,9 +50,9 @@ def options(trial: Trial) -> Options:
 
 
 def scene(recorded: Recorded) -> Scene:
-    """The room of a trial: the skull where it is, guarded where the registration says.
+    """The scene of a trial: the skull at its true pose, its inner surface at the registered one.
 
-    With the autopilot switched on at the start, the joints are those of the trial, bit for bit.
+    With the autopilot switched on at the start, the joints equal those of the trial bitwise.
     """
     trial = recorded.outcome.trial
     place = site.build(trial.mesh, trial.length)

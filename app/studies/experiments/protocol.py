@@ -1,7 +1,7 @@
-"""The trials of the experiments: which there are, and what comes of one.
+"""Runs a trial of an experiment and computes its outcome.
 
-A trial depends on its own description alone, seed included: run anywhere, in any order, it gives
-the same numbers on the same kind of machine.
+The outcome depends only on the trial's description, which includes the seed, and on the kind of
+machine.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from app.words import OptionError
 
 FloatArray = NDArray[np.float64]
 
-LONGEST = 1e6  # [s] of simulated or computing time
-RADIUS = 5e-3  # of the motion sphere, the paper's [m]
-SAMPLED = 100.0  # the smoothness is judged at, and trajectories are kept at [Hz]
-OPERATORS_DIFFER = 0.15  # log-normal spread of the calibrated values among operators, assumed
+LONGEST = 1e6  # of simulated or computing time [s]
+RADIUS = 5e-3  # of the motion sphere, as in the paper [m]
+SAMPLED = 100.0  # sampling rate of smoothness and stored trajectories [Hz]
+OPERATOR_SPREAD = 0.15  # log-normal spread of the calibrated values among operators, assumed
 
 
 class Mapping(Kind):
-    """A JSON object; what is in it is checked where it is made into something."""
+    """A JSON object, whose content is checked elsewhere."""
 
     def check(self, name: str, value: Any) -> None:
         if not isinstance(value, dict):
@@ -54,7 +54,7 @@ class Counts(Mapping):
 
 @dataclass(frozen=True)
 class Table(Kind):
-    """Rows of numbers as JSON has them: `rows` rows, or each of `columns` numbers; null: none."""
+    """A JSON list of rows of numbers or null; `rows` rows, or rows of `columns` numbers."""
 
     low: float
     high: float
@@ -81,28 +81,28 @@ class Table(Kind):
                 )
 
 
-_COUNT = Whole(0, 10**9)  # of ticks and of what happens in them
+_COUNT = Whole(0, 10**9)  # of ticks and events
 _TIME = Number(0.0, LONGEST, "s")
 _ERROR = Length(0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial. Lengths in metres, times in seconds.
+    """The outcome of a trial. Lengths in metres, times in seconds.
 
     Attributes:
         duration: simulated.
         finished: whether the end of the cut was reached.
         sal, sparc: smoothness of the tip's speed.
         fre, tre: errors of the registration, at the fiducials and along the cut.
-        stations, deviation, penetration: of the cut, signed, NaN where there is none.
+        stations, deviation, penetration: of the cut, signed; NaN where no bone was cut.
         removed: volume of bone [m³].
-        crossings: steps of the tip that met the registered surface (judged, assisted only).
-        outside: ticks outside the registered corridor (judged, assisted only).
+        crossings: steps of the tip that met the registered surface (by `judge`, assisted only).
+        outside: ticks outside the registered corridor (by `judge`, assisted only).
         ticks, statuses: of the controller.
         submovements, corrections: of the operator.
-        elapsed: what the trial took to compute; driving: processor time of controller and operator.
-        trajectory: (m, 4) station, aside, height and time of the tip at `SAMPLED`.
+        elapsed: time of computation; driving: processor time of controller and operator.
+        trajectory: (m, 4) station, lateral offset, height and time of the tip at `SAMPLED`.
     """
 
     trial: Trial = option(Mapping())
@@ -127,12 +127,12 @@ class Outcome:
     trajectory: FloatArray = option(Table(-LONGEST, LONGEST, columns=4))
 
     def to_json(self) -> dict[str, Any]:
-        """Everything as plain values; `from_json` gives back an equal outcome."""
+        """All values as JSON; `from_json` gives back an equal outcome."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         values["trial"] = dataclasses.asdict(self.trial)
         for name, value in values.items():
             if isinstance(value, np.ndarray):
-                # Trajectories to a nanometre, or a study would fill a disk with digits.
+                # Trajectories are rounded to a nanometre, to keep the files small.
                 rounded = np.round(value, 9) if name == "trajectory" else value
                 values[name] = [[None if np.isnan(x) else x for x in row]
                                 for row in np.atleast_2d(rounded).tolist()]  # fmt: skip
@@ -140,15 +140,15 @@ class Outcome:
 
     @staticmethod
     def from_json(content: object) -> Outcome:
-        """An outcome from the plain values of a file that nobody vouches for.
+        """An outcome from the JSON of an untrusted file.
 
         Raises:
-            OptionError: a key that does not belong there or is missing, or a value out of range.
+            OptionError: an unknown or missing key, or a value out of range.
         """
-        told = declared(Outcome)
-        values = dict(check_keys("the outcome of a trial", content, told))
+        options = declared(Outcome)
+        values = dict(check_keys("the outcome of a trial", content, options))
         for name, value in values.items():
-            told[name].kind.check(name, value)
+            options[name].kind.check(name, value)
         values["trial"] = Trial(**check_keys("its trial", values["trial"], declared(Trial)))
         for name in ("stations", "deviation", "penetration", "trajectory"):
             array = np.array(values[name], dtype=np.float64)
@@ -158,7 +158,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A trial's outcome together with all that was recorded of it: what a replay needs."""
+    """A trial's outcome together with its ticks, for a replay."""
 
     outcome: Outcome
     run: Run
@@ -168,20 +168,20 @@ class Recorded:
 
 
 def run(trial: Trial, operator: Operator | None = None) -> Outcome:
-    """Do one trial."""
+    """Run one trial."""
     return record(trial, operator).outcome
 
 
 def record(trial: Trial, operator: Operator | None = None) -> Recorded:
-    """Do one trial and keep every tick of it.
+    """Run one trial and keep all ticks.
 
     Args:
-        operator: whose hand; the one with the trial's number if not given.
+        operator: None: the trial's own, see `operator_of`.
     """
     began = time.perf_counter()
     place = site.build(trial.mesh, trial.length)
     if operator is None:
-        operator = who(trial)
+        operator = operator_of(trial)
     truth = place.planned.moved(place.T_base_skull)
     found = registration.fit(
         place.fiducials,
@@ -200,8 +200,7 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
             corridor(guarded, believed.points, trial.width),
         ]
     arm = ControlledArm(place.arm, fixtures, place.T_base_start, 1.0 / trial.rate)
-    # Of this thread alone: what the machine does besides is not the trial's.
-    driving = time.thread_time()
+    driving = time.thread_time()  # of this thread alone
     done = perform(
         operator,
         truth,
@@ -248,16 +247,16 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
     return Recorded(outcome, done, np.concatenate(arm.joints), found.T, truth)
 
 
-def who(trial: Trial) -> Operator:
-    """The operator of a trial: the same hand in all trials with that number and seed."""
+def operator_of(trial: Trial) -> Operator:
+    """The operator of a trial: the same in all trials with this operator number and seed."""
     if trial.operator == 0:
         return Operator()
     entropy = np.random.SeedSequence((trial.seed, 1 << 20, trial.operator))
-    return Operator().varied(np.random.default_rng(entropy), OPERATORS_DIFFER)
+    return Operator().varied(np.random.default_rng(entropy), OPERATOR_SPREAD)
 
 
 def _along(planned: PlannedCut, points: FloatArray, rate: float) -> FloatArray:
-    """Points in the planned cut's own coordinates: station, aside, height over bone, and time."""
+    """Points in coordinates of the planned cut: station, lateral offset, height over bone, time."""
     nearest = np.linalg.norm(points[:, None] - planned.points, axis=2).argmin(axis=1)
     off = points - planned.points[nearest]
     return np.stack(

@@ -1,4 +1,4 @@
-"""Where the skull lies: fiducials measured with noise, and the rigid fit through them."""
+"""Registration of the skull: fiducials measured with noise, and the rigid fit to them."""
 
 from __future__ import annotations
 
@@ -8,24 +8,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+import meshes
+
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Registration:
-    """A rigid fit through corresponding points.
+    """A rigid fit to corresponding points.
 
     Attributes:
-        T: (4, 4) from the model's frame to the one measured in.
-        fre: fiducial registration error, root mean square distance left at the fiducials [m].
+        T: (4, 4) from the model's frame to the frame of the measurement.
+        fre: fiducial registration error, root mean square distance at the fiducials [m].
     """
 
     T: FloatArray
     fre: float
-
-    def __call__(self, points: ArrayLike) -> FloatArray:
-        """Points (n, 3) of the model where this registration believes them to be [m]."""
-        return np.asarray(np.asarray(points) @ self.T[:3, :3].T + self.T[:3, 3])
 
 
 def fit(model: ArrayLike, measured: ArrayLike) -> Registration:
@@ -61,6 +59,6 @@ def measure(points: ArrayLike, localisation_error: float, rng: np.random.Generat
 
 def target_error(registration: Registration, T_true: ArrayLike, targets: ArrayLike) -> float:
     """Target registration error: root mean square distance at targets (k, 3) of the model [m]."""
-    T, points = np.asarray(T_true), np.asarray(targets)
-    off = registration(points) - (points @ T[:3, :3].T + T[:3, 3])
+    points = np.asarray(targets)
+    off = meshes.transformed(registration.T, points) - meshes.transformed(T_true, points)
     return float(np.sqrt((off**2).sum(axis=1).mean()))

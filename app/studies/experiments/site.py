@@ -1,4 +1,4 @@
-"""The place of an experiment: skull, planned cut, fiducials and view, as the operator has them."""
+"""The site of an experiment: skull, planned cut, fiducials, and the arm."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ FloatArray = NDArray[np.float64]
 
 SEGMENTS = {"skull-coarse": skull.COARSE, "skull": skull.STANDARD, "skull-fine": skull.FINE}
 THICKNESS = skull.THICKNESS * 1e-3  # of the bone [m]
-# Where the six fiducials sit on the skull: directions from the head's centre (x right, y front,
-# z up), on the frontal bone, both parietal bones and behind, as far apart as the cap allows.
+# Directions of the six fiducials from the head's centre (x right, y anterior, z superior): on the
+# frontal, parietal and occipital bone, as far apart as the skull cap allows.
 FIDUCIALS = (
     (0.45, 0.75, 0.35),
     (-0.45, 0.75, 0.35),
@@ -33,13 +33,13 @@ FIDUCIALS = (
 
 @dataclass(frozen=True)
 class PlannedCut:
-    """A planned cut with a frame at every point of it, in one frame of reference.
+    """A planned cut with a local frame at each of its points.
 
     Attributes:
         stations: (k,) arc length from the start [m].
         points: (k, 3) on the outer surface [m].
-        along, aside, outward: (k, 3) unit vectors: forward, to the right of it seen from outside,
-            and out of the bone.
+        along, aside, outward: (k, 3) unit vectors: forward, lateral (to the right seen from
+            outside), and out of the bone.
     """
 
     stations: FloatArray
@@ -53,7 +53,7 @@ class PlannedCut:
         return float(self.stations[-1])
 
     def at(self, station: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Point, forward, aside and outward direction (3,) at an arc length [m]."""
+        """Point, and forward, lateral and outward direction, (3,) each, at an arc length [m]."""
         found = [
             np.array([np.interp(station, self.stations, rows[:, k]) for k in range(3)])
             for rows in (self.points, self.along, self.aside, self.outward)
@@ -74,14 +74,14 @@ class PlannedCut:
 
 @dataclass(frozen=True)
 class Site:
-    """What does not change between the trials of an experiment.
+    """The data that all trials of an experiment share.
 
     Attributes:
         mesh: name of the skull.
         planned: the planned cut, skull's axes.
         inner: vertices and faces of the inner surface, skull's axes [m].
         fiducials: (6, 3) on the outer surface, skull's axes [m].
-        T_base_skull: (4, 4) where the skull really is.
+        T_base_skull: (4, 4) true pose of the skull.
         T_base_start: the tool's pose at the start; its rotation is kept throughout.
         arm: the PSM.
     """
@@ -104,7 +104,7 @@ def build(mesh: str = "skull", length: float | None = None) -> Site:
     """The site on one of the skulls, the planned cut shortened to `length` [m] if given.
 
     Raises:
-        OptionError: not one of the skulls, or a length that is not that of a part of the cut.
+        OptionError: not one of the skulls, or a length that the cut does not have.
     """
     if mesh not in SEGMENTS:
         raise OptionError(f"unknown skull '{mesh}': choose one of {', '.join(SEGMENTS)}")
@@ -141,7 +141,7 @@ def _planned(points: FloatArray, length: float | None) -> PlannedCut:
         stations = marks
     along = np.gradient(points, stations, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # The cut is sagittal: aside is the skull's own left-right axis, seen from outside.
+    # The cut is sagittal: the lateral direction is the skull's left-right axis.
     aside = np.tile([1.0, 0.0, 0.0], (len(points), 1))
     outward = np.cross(aside, along)
     outward *= np.sign(outward[:, 2:])

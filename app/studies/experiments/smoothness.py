@@ -1,9 +1,9 @@
-"""How smooth a movement was: the arc length of the spectrum of its speed.
+"""Smoothness of a movement: the arc length of the spectrum of its speed.
 
 SAL with a fixed cut-off is the paper's equation 4; SPARC (Balasubramanian et al., "On the analysis
 of movement smoothness", J NeuroEng Rehabil 2015) has an adaptive one. Both are negative, nearer to
-zero for smoother movements. SAL depends on sampling, padding and duration: compare its values only
-between movements recorded alike.
+zero for smoother movements. SAL depends on sampling rate, padding and duration, so only values of
+equally recorded movements are comparable.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
-PADDING = 4  # the spectrum has 2^4 times more points than the next power of two
+PADDING = 4  # zero padding to 2^4 times the next power of two
 CUTOFF = 20.0  # of SAL [Hz]
 SPARC_CUTOFF = 10.0  # [Hz]
-SPARC_LEVEL = 0.05  # SPARC looks no farther than the last frequency with this share of the highest
+SPARC_LEVEL = 0.05  # SPARC ends at the last frequency with this share of the largest magnitude
 
 
 def sal(speed: ArrayLike, rate: float) -> float:
     """Spectral arc length of a speed profile (n,) sampled at `rate` [Hz], as in the paper.
 
     Raises:
-        ValueError: fewer than two samples, not finite, no movement, or a rate below twice the
-            cut-off.
+        ValueError: fewer than two samples, not finite, all zero, or a rate below twice the cut-off.
     """
     frequencies, magnitude = _spectrum(speed, rate)
     if rate < 2.0 * CUTOFF:

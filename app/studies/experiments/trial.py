@@ -1,4 +1,4 @@
-"""One trial: a simulated operator takes the tool along the planned cut."""
+"""Simulates one trial: an operator moves the tool along the planned cut."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from app.studies.experiments.site import THICKNESS, PlannedCut
 
 FloatArray = NDArray[np.float64]
 
-PATIENCE = 1200.0  # a trial that takes longer is given up [s]
+PATIENCE = 1200.0  # largest simulated duration of a trial [s]
 
 
 @dataclass(frozen=True)
 class Run:
-    """What was recorded of a trial, one row a tick.
+    """The ticks of a trial.
 
     Attributes:
         rate: ticks per second [Hz].
-        goals: (n, 3) where the hand wanted the tip, base frame [m].
-        tips: (n, 3) where it was.
-        submovements: how many there were.
-        corrections: how many of them did not go on along the cut.
+        goals: (n, 3) goals of the tip, base frame [m].
+        tips: (n, 3) actual positions of the tip, base frame [m].
+        submovements: number of submovements.
+        corrections: number of submovements that did not advance along the cut.
         finished: whether the end of the cut was reached.
     """
 
@@ -56,13 +56,13 @@ def perform(
     """Let the operator cut (or trace) along a planned cut.
 
     Args:
-        planned: the planned cut where the skull really is, for that is what the operator sees.
+        planned: the planned cut at the true pose of the skull, which the operator sees.
         start: (3,) the tip at the start, base frame [m].
-        follower: what the tool makes of the hand's goals.
+        follower: moves the tip to the goals.
         assisted: the fixture is on, and the operator relies on it for depth.
-        stroke: how far a submovement goes on along the cut [m].
+        stroke: advance of a submovement along the cut [m].
         rate: ticks per second [Hz].
-        rng: of this trial alone.
+        rng: not shared with other trials.
     """
     eye = _Eye(operator, planned, rng)
     tremor = Tremor(operator.tremor * operator.scale, rate, rng)
@@ -93,7 +93,7 @@ def perform(
         done = follower(wanted)
         goals.append(wanted)
         tips.append(done)
-        # The tip as it is seen: the eye smooths over the tremor of the wait.
+        # The perceived tip: its mean over the visual delay, without tremor.
         tip = done[-waiting:].mean(axis=0)
         submovements += 1
     return Run(
@@ -102,30 +102,30 @@ def perform(
 
 
 class _Eye:
-    """What the operator sees and feels, and what hand movement follows from it."""
+    """The operator's perception, and the hand movement that follows from it."""
 
     def __init__(self, operator: Operator, planned: PlannedCut, rng: np.random.Generator) -> None:
         self._operator, self._planned, self._rng = operator, planned, rng
         _, along, aside, outward = planned.at(0.5 * planned.length)
         angle = operator.view_angle
-        # From the camera into the scene, tilted to one side of the cut.
+        # Viewing direction, tilted to one side of the cut.
         self._sight = np.cos(angle) * -outward + np.sin(angle) * aside
-        self._across = np.cross(self._sight, along)  # aside in the picture
+        self._across = np.cross(self._sight, along)  # lateral in the image
         self._along = along
         self._bias = operator.depth_bias * (1.0 + operator.session_spread * rng.normal())
         self._depth = SlowError(operator.depth_error, operator.slow, rng)
         self._image = SlowError(operator.image_error, operator.slow, rng)
 
     def goal(self, station: float) -> FloatArray:
-        """Where the tip belongs: at the bottom of the cut."""
+        """Goal of the tip: the bottom of the planned cut."""
         point, _, _, outward = self._planned.at(station)
         return np.asarray(point - THICKNESS * outward)
 
     def wanted(
         self, station: float, tip: FloatArray, elapsed: float
     ) -> tuple[FloatArray, float, float]:
-        """The movement (3,) that seems to be missing, its size aside and along the sight [m]."""
-        # Believed nearer to the camera than it is: the tool goes too deep.
+        """The perceived error (3,), and its lateral size and size along the line of sight [m]."""
+        # The tip is perceived nearer to the camera than it is, so the tool goes too deep.
         error = -(self._bias + self._depth.after(elapsed))
         believed = tip + error * self._sight + self._image.after(elapsed) * self._across
         move = self.goal(station) - believed
@@ -134,7 +134,7 @@ class _Eye:
     def on_surface(
         self, move: FloatArray, hand: FloatArray, tip: FloatArray, station: float
     ) -> FloatArray:
-        """The movement along the fixture that has the same effect in the picture, and the press."""
+        """The movement along the fixture with the same effect in the image, plus the pressing."""
         operator = self._operator
         _, along, aside, outward = self._planned.at(station)
         effect = np.array(

@@ -1,4 +1,4 @@
-"""From outcomes to the paper's comparisons."""
+"""Compares outcomes with and without the fixture, as in the paper."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ SPARC = "smoothness, SPARC"
 
 @dataclass(frozen=True)
 class Line:
-    """One comparison of the two modes, with the paper's if it has one.
+    """One comparison of the two modes.
 
     Attributes:
         name, unit: of the quantity.
-        comparison: in that unit; None where a side has fewer than two values.
-        measure: what the paper reports, if it does.
-        note: what the values are, in words.
+        comparison: in that unit; None if a side has fewer than two values.
+        measure: the paper's values, if it reports them.
+        note: description of the values.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Line:
 
 
 def split(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
-    """Plain teleoperation, and with the fixture; each by number of the trial."""
+    """Outcomes without and with the fixture, each sorted by number of the trial."""
     ordered = sorted(outcomes, key=lambda o: o.trial.number)
     return (
         [o for o in ordered if not o.trial.assisted],
@@ -46,7 +46,7 @@ def split(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
 
 
 def tracing(outcomes: Sequence[Outcome]) -> list[Line]:
-    """Smoothness of the two modes, trial by trial in pairs."""
+    """Smoothness of the two modes, paired by trial."""
     off, on = split(outcomes)
     if [o.trial.number for o in off] != [o.trial.number for o in on]:
         raise ValueError("tracing is compared in pairs: every trial is needed in both modes")
@@ -64,7 +64,7 @@ def tracing(outcomes: Sequence[Outcome]) -> list[Line]:
 
 
 def cutting(outcomes: Sequence[Outcome]) -> list[Line]:
-    """Path deviation and penetration of the two modes, station by station, as in the paper."""
+    """Path deviation and penetration of the two modes over all stations, as in the paper."""
     off, on = split(outcomes)
     lines = []
     for measure, values in (
@@ -84,17 +84,17 @@ def cutting(outcomes: Sequence[Outcome]) -> list[Line]:
 
 
 def deviations(outcomes: Sequence[Outcome]) -> FloatArray:
-    """|cutting-path deviation| at all stations of some trials (n,) [mm]."""
+    """|cutting-path deviation| at all stations of all outcomes (n,) [mm]."""
     return _stations([np.abs(o.deviation) for o in outcomes])
 
 
 def penetrations(outcomes: Sequence[Outcome], signed: bool = False) -> FloatArray:
-    """|penetration depth| (or signed) at all stations of some trials (n,) [mm]."""
+    """|penetration depth| (or signed) at all stations of all outcomes (n,) [mm]."""
     return _stations([o.penetration if signed else np.abs(o.penetration) for o in outcomes])
 
 
 def violations(outcomes: Sequence[Outcome]) -> int:
-    """Steps through the registered surface and ticks outside the corridor, as judged."""
+    """Number of steps through the registered surface and of ticks outside the corridor."""
     return sum(o.crossings + o.outside for o in outcomes)
 
 

@@ -16,7 +16,7 @@ NAMES = {False: "teleoperation", True: "with the fixture"}
 
 
 def section(outcomes: Sequence[Outcome]) -> str:
-    """Figure 10: the tip's way over the skull's cross-section along the cut, as SVG."""
+    """Figure 10: the tip's path over the skull's cross-section along the cut, as SVG."""
     figure, axes = _axes(2, (9.0, 5.2), sharex=True)
     for ax, side in zip(axes, analysis.split(outcomes), strict=True):
         for outcome in side:
@@ -74,7 +74,7 @@ def boxes(outcomes: Sequence[Outcome]) -> str:
 
 
 def speeds(outcomes: Sequence[Outcome]) -> str:
-    """Spectra of the tip's speed, of which the smoothness is the arc length, as SVG."""
+    """Spectra of the tip's speed, whose arc length is the smoothness, as SVG."""
     figure, axes = _axes(1, (9.0, 3.4))
     for outcome in outcomes:
         points, time = outcome.trajectory[:, :3], outcome.trajectory[:, 3]
@@ -92,7 +92,7 @@ def speeds(outcomes: Sequence[Outcome]) -> str:
 
 
 def _axes(layout, size, **options):  # type: ignore[no-untyped-def]
-    # Without pyplot: no window system, no global state, usable from any thread.
+    # Without pyplot, which has global state and needs a window system.
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 

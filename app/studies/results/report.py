@@ -1,4 +1,4 @@
-"""The results on the terminal, as files, and as one HTML page that needs nothing else."""
+"""Reports results on the terminal, as CSV files, and as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from app.studies.results.analysis import Line
 from app.studies.results.published import Value
 
 CAVEAT = (
-    "A simulated hand, calibrated on the paper's plain teleoperation. What it does with the "
-    "fixture is a prediction of the model: it says what the geometry of fixture, view and "
-    "registration can explain, and is no evidence about surgeons."
+    "A simulated operator, calibrated on the paper's plain teleoperation. Results with the fixture "
+    "are predictions of the model: they show what the geometry of fixture, view and registration "
+    "can explain, and are no evidence about surgeons."
 )
 _COLUMNS = (
     "quantity", "teleoperation", "with fixture", "difference [95 %]", "p", "effect [95 %]", "n",
@@ -38,7 +38,7 @@ def lines(outcomes: Sequence[Outcome]) -> list[Line]:
 
 
 def show(outcomes: Sequence[Outcome], console: Console) -> None:
-    """The table beside the paper's figures, and what was judged."""
+    """Print the table with the paper's figures, and the results of the independent tests."""
     show_table(
         console,
         [Column(name, left=k == 0) for k, name in enumerate(_COLUMNS)],
@@ -53,7 +53,7 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
 def write(outcomes: Sequence[Outcome], out: Path) -> list[Path]:
     """Write trials.csv, stations.csv, trajectories.csv and report.html to a directory.
 
-    The report is left out where matplotlib is not installed.
+    The report is omitted if matplotlib is not installed.
     """
     out.mkdir(parents=True, exist_ok=True)
     written = [_trials(outcomes, out), _stations(outcomes, out), _trajectories(outcomes, out)]
@@ -125,7 +125,7 @@ def _verdicts(outcomes: Sequence[Outcome]) -> list[str]:
     slowest = min(o.duration / o.driving for o in outcomes)
     found = [
         f"{count(analysis.violations(outcomes), 'violation')} of the registered surface and "
-        f"corridor in {count(steps, 'assisted tick')}, judged apart from the fixtures.",
+        f"corridor in {count(steps, 'assisted tick')}, tested independently of the fixtures.",
         f"Registration: FRE {1e3 * np.mean([o.fre for o in outcomes]):.2f} mm, "
         f"TRE along the cut {1e3 * np.mean([o.tre for o in outcomes]):.2f} mm on average. "
         f"Slowest trial: {slowest:.1f} times real time, by processor time on one core.",

@@ -1,4 +1,4 @@
-"""Is one mode better than the other? Tests by SciPy, effect sizes and intervals beside them."""
+"""Statistical comparison of two modes: tests by SciPy, effect sizes, confidence intervals."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ FloatArray = NDArray[np.float64]
 
 LEVEL = 0.95  # of every confidence interval
 SIGNIFICANT = 0.05
-RESAMPLED = 5  # values a side without which resampling says nothing
+RESAMPLED = 5  # least number of values per side for a bootstrap
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two samples compared: plain teleoperation and with the fixture.
+    """Comparison of two samples: without and with the fixture.
 
     Attributes:
         test: "paired t" or "Welch".
         off, assisted: mean and standard deviation of each.
-        sizes: how many values each has.
+        sizes: number of values of each.
         t, degrees, p: of the two-sided test.
         difference: assisted minus off.
         low, high: its confidence interval at `LEVEL`.
-        effect: standardised difference: of the pairs (d_z), or by the pooled deviation, for small
-            samples corrected (Hedges' g).
+        effect: standardised difference: of the pairs (d_z), or by the pooled deviation with
+            correction for small samples (Hedges' g).
         effect_low, effect_high: its bootstrap interval at `LEVEL` (percentiles); NaN for
             fewer than `RESAMPLED` values.
     """
@@ -53,7 +53,7 @@ class Comparison:
 
 
 def paired(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
-    """Values (n,) that belong together in pairs: the paired t-test.
+    """Paired t-test of values (n,) and (n,).
 
     Raises:
         ValueError: different numbers of values, or fewer than two pairs.
@@ -74,15 +74,15 @@ def paired(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
 
 
 def welch(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
-    """Independent values (n,) and (m,) of whatever deviations: Welch's t-test.
+    """Welch's t-test of independent values (n,) and (m,).
 
     Raises:
         ValueError: fewer than two values on a side.
     """
     a, b = _clean(off), _clean(assisted)
     with warnings.catch_warnings():
-        # Times of cuts are whole numbers of submovements: two that are equal are no mistake, as
-        # long as the other side has a variance.
+        # Durations are multiples of a submovement's: equal values on one side are valid if the
+        # other side has a variance.
         if max(np.ptp(a), np.ptp(b)) > 0.0:
             warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
         result = stats.ttest_ind(b, a, equal_var=False)
@@ -108,10 +108,9 @@ def hedges(b: FloatArray, a: FloatArray, axis: int = -1) -> FloatArray:
 
 
 def independent_values(values: ArrayLike) -> float:
-    """How many independent values a series (n,) along the cut is worth.
+    """Effective sample size of a series (n,) along the cut, whose neighbours are correlated.
 
-    Neighbouring stations are alike. n / (1 + 2 Σ ρ_k), ρ_k the autocorrelations up to the first
-    that is not positive.
+    n / (1 + 2 Σ ρ_k), ρ_k the autocorrelations up to the first that is not positive.
     """
     x = np.asarray(values, dtype=np.float64)
     x = x[np.isfinite(x)] - np.nanmean(x)
@@ -137,7 +136,7 @@ def _bootstrap(
 ) -> tuple[float, float]:
     if min(map(len, samples)) < RESAMPLED:
         return np.nan, np.nan
-    # A resample of one value over and over has no deviation.
+    # A resample may consist of equal values, whose deviation is 0.
     with np.errstate(invalid="ignore", divide="ignore"):
         result = stats.bootstrap(
             samples, statistic, confidence_level=LEVEL, n_resamples=2000, method="percentile",

@@ -1,4 +1,4 @@
-"""The safety property under attack: does the tip ever cross, does the cover ever leak?"""
+"""Randomised test of the safety property: does the tip cross the surface, do the planes leak?"""
 
 from __future__ import annotations
 
@@ -21,38 +21,37 @@ from meshes.builtin.shapes import Arrays
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int], None]
 
-# Shares of a tick at which the tip is looked at.
-MARKS = np.linspace(0.0, 1.0, 5)
+MARKS = np.linspace(0.0, 1.0, 5)  # fractions of a tick's motion at which the tip is tested
 EPISODE = 400  # ticks from one start position
-SAMPLED = 97  # every so many ticks the blocked share is measured
-QUERIES_SAMPLED = 16  # and every so many queries, from the first on
+SAMPLED = 97  # interval of the measurement of the blocked share [ticks]
+QUERIES_SAMPLED = 16  # likewise [queries]
 
 
 @dataclass
 class Drive:
-    """What came of driving an arm against one mesh."""
+    """Result of `drive`."""
 
     ticks: int = 0
     crossings: int = 0
-    first: str = ""  # where the first crossing happened, to reproduce it
-    inside: int = 0  # ticks that began inside, as the controller says
+    first: str = ""  # description of the first crossing, to reproduce it
+    inside: int = 0  # ticks that began inside, according to the controller
     statuses: Counter[vf.Status] = field(default_factory=Counter)
     solvers: Counter[vf.Solver] = field(default_factory=Counter)
     planes: int = 0
-    shrunk: int = 0  # ticks with the plane budget spent
+    shrunk: int = 0  # ticks with the plane budget exhausted
     forbidden: int = 0
     free: int = 0
     times: list[float] = field(default_factory=list)  # [s]
 
     @property
     def blocked(self) -> float:
-        """Share of the directly reachable part of the motion sphere that the planes forbade."""
+        """Share of the directly reachable part of the motion sphere that the planes forbid."""
         return self.forbidden / self.free if self.free else 0.0
 
 
 @dataclass
 class Cover:
-    """What came of querying a rule around one mesh."""
+    """Result of `query`."""
 
     queries: int = 0
     leaking: int = 0  # queries with at least one leak
@@ -81,21 +80,19 @@ def drive(
     outside_of: vf.Surface | None = None,
     progress: Progress = lambda _ticks: None,
 ) -> Drive:
-    """Let adversarial hands push the arm against a mesh for `steps` ticks.
+    """Drive the arm against a mesh with adversarial proxies for `steps` ticks.
 
-    Every few hundred ticks the arm starts anew: at random joint positions all over its range, with
-    the mesh moved so that a random spot of it is next to the tip. The segments between the true tip
-    positions of consecutive ticks, and between some that the joints pass on the way, are judged
-    against every triangle and the corridor; a tip with a radius crosses a triangle where its ball
-    cuts it.
+    Every `EPISODE` ticks the arm starts at random joint positions, with the mesh moved so that a
+    random point of it is next to the tip. The segments between the true tip positions of
+    consecutive ticks, and between `MARKS` of the joints' motion, are tested against every triangle
+    and the corridor; a tip with a radius crosses a triangle that its ball overlaps.
 
     Args:
         tip_radius: of the tip, at least that of the scene [m].
-        scene: what else stands around the tip.
+        scene: the other fixtures.
         noise: bound on the actuation error at the tip added after every tick, as a share of the
-            motion sphere's radius. The standoff is set to four times it (at least the default):
-            an error larger than the standoff cannot be promised away by any planes, nor one larger
-            than the room there is: in a narrow scene there is none.
+            motion sphere's radius. The standoff is at least four times it: no planes can guarantee
+            safety for an error larger than the standoff. It is 0 in a narrow scene.
         outside_of: start only outside this closed surface (the mesh before it was damaged).
     """
     rng = np.random.default_rng(seed)
@@ -116,21 +113,21 @@ def drive(
         controller = vf.Controller(arm, around.fixtures, settings)
         tools = [tip]
         hand = hands.goals(rng, around.surfaces[0], tip, tools)
-        through = False
+        crossed = False
         length = min(EPISODE, steps - result.ticks)
         for _ in range(length):
             before = q
             step = controller.step(q, next(hand))
             q = _actuate(arm, step.q, bound, rng) if bound else step.q
             tools[0] = arm.tip(q)
-            through |= _judge(result, around, step, _way(arm, before, q), rng, through)
+            crossed |= _judge(result, around, step, _way(arm, before, q), rng, crossed)
             result.ticks += 1
         progress(length)
     return result
 
 
 def _way(arm: robots.Arm, q: FloatArray, q_new: FloatArray) -> list[FloatArray]:
-    """Tip positions (3,) that joints pass which move evenly from q to q_new (n,)."""
+    """Tip positions (3,) at `MARKS` of a uniform joint motion from q to q_new (n,)."""
     if (q_new == q).all():
         return [arm.tip(q).translation.copy()]
     marks = MARKS if arm.revolute.any() else MARKS[[0, -1]]
@@ -143,12 +140,12 @@ def _judge(
     step: vf.Step,
     way: list[FloatArray],
     rng: np.random.Generator,
-    through: bool,
+    crossed_before: bool,
 ) -> bool:
-    """Count what happened in one tick; whether something was crossed.
+    """Count the events of one tick; returns whether something was crossed.
 
-    Every episode starts outside. So that a tick starts inside is believed only once something was
-    crossed in this episode (`through`): then the tool is let out, which is no further crossing.
+    Every episode starts outside. So the status INSIDE excuses a crossing, on the way out, only
+    after an earlier crossing in the same episode (`crossed_before`).
     """
     result.statuses[step.status] += 1
     result.solvers[step.solver] += 1
@@ -157,7 +154,7 @@ def _judge(
     result.times.append(step.timings.total)
     if step.status is vf.Status.INSIDE:
         result.inside += 1
-        if through:
+        if crossed_before:
             return False
     crossed = any(around.crossings(a, b) for a, b in pairwise(way))
     if crossed:
@@ -173,7 +170,7 @@ def _judge(
 
 
 def _some_pose(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
-    """Joint positions all over the range; every third with some joints at their very limits."""
+    """Random joint positions; a third of them with some joints exactly at their limits."""
     share = rng.uniform(0.02, 0.98, len(arm.lower))
     if rng.random() < 1.0 / 3.0:
         ends = rng.random(len(share)) < 0.4
@@ -188,7 +185,7 @@ def _surface_near(
     outside_of: vf.Surface | None,
     rng: np.random.Generator,
 ) -> vf.Surface:
-    """The mesh, moved so that a random spot of its outside is within millimetres of p (3,)."""
+    """The mesh, moved so that p (3,) is outside and within millimetres of a random point of it."""
     vertices, faces = mesh
     while True:
         corners = vertices[faces[rng.integers(len(faces))]]
@@ -197,7 +194,7 @@ def _surface_near(
         if size == 0.0:
             continue
         spot = rng.dirichlet([1.0, 1.0, 1.0]) @ corners
-        side = 1.0 if rng.random() < 0.7 else -1.0  # open meshes are met from behind as well
+        side = 1.0 if rng.random() < 0.7 else -1.0  # open meshes are approached from both sides
         gap = tip_radius + rng.uniform(5e-5, 3e-3)
         start = spot + side * gap * normal / size
         if outside_of is not None and outside_of.inside(start):
@@ -208,7 +205,7 @@ def _surface_near(
 
 
 def _actuate(arm: robots.Arm, q: FloatArray, bound: float, rng: np.random.Generator) -> FloatArray:
-    """Joint positions the arm really reaches: the tip is off by at most `bound` [m]."""
+    """Actual joint positions, with a random tip error of at most `bound` [m]."""
     p = arm.tip(q).translation
     error = rng.normal(size=len(q)) * arm.velocity
     J = arm.jacobian(q)[:3]
@@ -232,15 +229,15 @@ def query(
     outside_of: vf.Surface | None = None,
     progress: Progress = lambda _queries: None,
 ) -> Cover:
-    """Look for leaks of a rule around a mesh at points all over it, from both sides.
+    """Search for leaks of a rule at random points around a mesh, on both sides of it.
 
-    Points inside are left out where the mesh is closed and has an inside.
+    Points inside a closed mesh are skipped.
 
     Args:
         edges: radius of the ball in median edge lengths.
-        standoff, tip_radius: of the certified rule [m]; the other rules have none here. A tip that
-            overlaps the mesh is not asked for.
-        outside_of: ask only outside this closed surface (the mesh before it was damaged).
+        standoff, tip_radius: of the certified rule [m]; the other rules ignore them. Points at
+            which the tip overlaps the mesh are skipped.
+        outside_of: query only outside this closed surface (the mesh before it was damaged).
     """
     surface = vf.Surface.from_arrays(*mesh)
     rng = np.random.default_rng(seed)
@@ -282,7 +279,7 @@ def planes_of(
     standoff: float,
     tip_radius: float = 0.0,
 ) -> vf.Planes:
-    """The planes of a rule as it stands, without the controller around it."""
+    """The planes of a rule, without the controller."""
     if rule == "certified":
         return vf.certified_planes(surface, x, radius, standoff, tip_radius)
     if rule == "paper":
@@ -300,7 +297,7 @@ def rest(
     proxy: FloatArray,
     ticks: int = 4000,
 ) -> FloatArray:
-    """Where a free-flying tip (3,) comes to rest that follows a proxy (3,) from a start (3,)."""
+    """Rest position (3,) of the `point` arm that starts at `start` and follows `proxy`, (3,)."""
     arm = robots.load("point")
     controller = vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)])
     goal = pin.SE3(np.eye(3), proxy)

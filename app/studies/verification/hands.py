@@ -1,4 +1,4 @@
-"""Adversarial hands: proxies that do their worst to get the tool through the surface."""
+"""Adversarial proxies, which try to move the tool through the surface."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ FloatArray = NDArray[np.float64]
 def goals(
     rng: np.random.Generator, surface: vf.Surface, tip: pin.SE3, tools: list[pin.SE3]
 ) -> Iterator[pin.SE3]:
-    """Endless proxy poses, base frame: pokes, slides, jerks and full-speed reversals.
+    """Endless proxy poses, base frame: pokes, slides, jumps and full-speed reversals.
 
     Args:
         rng: source of all randomness.
-        surface: the anatomy that is attacked.
-        tip: pose the tool starts from.
-        tools: the caller keeps its only element, `tools[0]`, at the tool's present pose, so that
-            the hand can aim at the surface under the tool wherever that went.
+        surface: the anatomy.
+        tip: start pose of the tool.
+        tools: the caller keeps its only element, `tools[0]`, at the tool's present pose.
     """
     kinds = (_poke, _slide, _jerk, _reverse, _through)
     rotation = tip.rotation.copy()
@@ -41,7 +40,7 @@ def goals(
 def _poke(
     rng: np.random.Generator, surface: vf.Surface, tools: list[pin.SE3], length: int
 ) -> Iterator[FloatArray]:
-    """Straight through the nearest triangle, up to 10 mm behind it."""
+    """Through the nearest point of the surface, up to 10 mm behind it."""
     x = tools[0].translation
     _distance, _face, point = surface.nearest(x)
     towards = point - x
@@ -90,7 +89,7 @@ def _reverse(
 def _through(
     rng: np.random.Generator, surface: vf.Surface, tools: list[pin.SE3], length: int
 ) -> Iterator[FloatArray]:
-    """Towards a random vertex anywhere, through whatever lies between, and beyond."""
+    """Through any random vertex of the mesh, to a point beyond it."""
     goal = surface.vertices[rng.integers(len(surface.vertices))]
     x = tools[0].translation.copy()
     for _ in range(length):

@@ -1,4 +1,4 @@
-"""What the tool is put among: one mesh or several, a corridor, wide standoffs, spent budgets."""
+"""Scenes of the campaign: several meshes, a corridor, wide standoffs, exhausted plane budgets."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from app.judges import oracles
 
 FloatArray = NDArray[np.float64]
 
-PINS = 300  # more than a walk may take planes for
-PIN_DISTANCE = 4e-5  # nearer than any mesh at the start [m]
-ROUNDING = 1e-11  # of a distance from a path [m]
-RIM = 32  # points of a tip that are judged against a corridor
+PINS = 300  # more than the plane budget
+PIN_DISTANCE = 4e-5  # from the tip at the start, less than that of any mesh [m]
+ROUNDING = 1e-11  # tolerance of a distance from a path [m]
+RIM = 32  # points of a tip that are tested against a corridor
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One kind of surroundings.
+    """A kind of scene.
 
     Attributes:
         name: for the table.
-        meshes: how many copies of the mesh, each somewhere else around the tip.
-        pins: whether more triangles than a walk may take planes for stand around the tip.
-        corridor: whether a corridor runs through the tip.
+        meshes: number of copies of the mesh, at random poses around the tip.
+        pins: whether more triangles than the plane budget surround the tip.
+        corridor: whether a corridor contains the tip.
         standoff: [m].
         tip_radius: [m].
         period: of the control loop [s].
-        narrow: whether the tool may have less room than an actuation error takes.
+        narrow: whether free space may be smaller than an actuation error.
     """
 
     name: str
@@ -57,12 +57,12 @@ SCENES = (
 
 
 class Surroundings:
-    """The fixtures of one episode and their judges.
+    """The fixtures of one episode and the tests for crossings.
 
     Args:
-        scene: which kind.
-        mesh_near: the mesh, somewhere else around the start at every call.
-        x: (3,) where the tip starts.
+        scene: the kind of scene.
+        mesh_near: makes the mesh at a random pose near the start.
+        x: (3,) start of the tip.
         rule, radius: of the meshes' fixtures.
         tip_radius: of the cutter [m].
     """
@@ -91,7 +91,7 @@ class Surroundings:
             self._path, self._down, self._width = corridor.path, corridor.direction, corridor.width
 
     def crossings(self, a: FloatArray, b: FloatArray) -> int:
-        """How many triangles and corridors the tip crosses on its straight way from a to b (3,)."""
+        """Number of triangles and corridors that the tip crosses from a to b (3,)."""
         count = 0
         for surface in self.surfaces:
             if self.tip_radius:
@@ -103,22 +103,22 @@ class Surroundings:
         return count
 
     def _farthest(self, p: FloatArray) -> float:
-        """Distance from the path of the part of a tip at p (3,) that is farthest from it [m].
+        """Largest distance from the path of a point of a tip at p (3,) [m].
 
-        Not the distance of the centre and the tip's radius: at the inside of a bend the part that
-        is far from one leg of the path is near to the next.
+        It may be less than the centre's distance plus the tip's radius: at the inside of a bend a
+        point far from one segment of the path is near the next one.
         """
         if not self.tip_radius:
-            return oracles.aside(self._path, self._down, p)
+            return oracles.lateral_distance(self._path, self._down, p)
         _, _, across = np.linalg.svd(self._down[None, :])
         turns = np.linspace(0.0, 2.0 * np.pi, RIM, endpoint=False)
         rim = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ across[1:]
         ways = p + self.tip_radius * rim
-        return max(oracles.aside(self._path, self._down, way) for way in ways)
+        return max(oracles.lateral_distance(self._path, self._down, way) for way in ways)
 
 
 def _pins(x: FloatArray, tip_radius: float, rng: np.random.Generator) -> vf.Surface:
-    """Points on a cap around x (3,), each of which wants a plane of its own."""
+    """Triangles collapsed to points on a spherical cap around x (3,), each needing a plane."""
     k = np.arange(PINS) + 0.5
     z = 1.0 - k / PINS * (1.0 - np.cos(np.radians(120.0)))
     angle = np.pi * (1.0 + 5.0**0.5) * k
@@ -133,7 +133,7 @@ def _pins(x: FloatArray, tip_radius: float, rng: np.random.Generator) -> vf.Surf
 def _corridor(
     x: FloatArray, tip_radius: float, radius: float | None, rng: np.random.Generator
 ) -> vf.CorridorFixture:
-    """A corridor that bends left and right somewhere around x (3,), which is well inside."""
+    """A random corridor with bends that contains x (3,)."""
     while True:
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         heading = np.cumsum(rng.uniform(-0.9, 0.9, 6))

@@ -1,17 +1,15 @@
-"""What stands between the page and the network: who may connect, and what they may send.
+"""Protection of the page's server: who may connect, and what clients may send.
 
-viser asks nobody for a name, checks no Origin, believes what clients say and opens a tunnel to the
-public when one asks for it. Now and then it also stops sending for good. All that is put right
-here, and everything of viser's and websockets' insides that it takes; `repairs.check` says so at
-the start should one of them have changed.
-
-`serve` is where it comes together: a request must pass the `Door`, a WebSocket is a `Connection`
-from then on, and a connection hands on no message that `problem_with` finds fault with.
+viser has no authentication, checks no Origin, validates no message and opens a public tunnel when a
+client asks for one. `serve` builds a viser server with these checks: `Access` decides about every
+HTTP request, `Connection` limits what a WebSocket sends and receives, `problem_with` validates its
+messages. All use of viser's and websockets' internals is in this package; `patches.check_internals`
+fails at the start when they have changed.
 """
 
-from app.view.guard.complaints import quiet_console
-from app.view.guard.door import token_for
-from app.view.guard.repairs import Unguarded
-from app.view.guard.server import census, serve
+from app.view.guard.access import token_for
+from app.view.guard.logs import quiet_console
+from app.view.guard.patches import GuardError
+from app.view.guard.server import resource_counts, serve
 
-__all__ = ["Unguarded", "census", "quiet_console", "serve", "token_for"]
+__all__ = ["GuardError", "quiet_console", "resource_counts", "serve", "token_for"]

@@ -1,4 +1,4 @@
-"""What a client may do once it is in: how much it may send, and how little it may read."""
+"""Limits of one WebSocket: what it may send, and how fast it must read."""
 
 from __future__ import annotations
 
@@ -9,59 +9,60 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame
 
-from app.view.guard.allowance import Allowance
-from app.view.guard.messages import SMALL, problem_with
+from app.view.guard.messages import MAX_PLAIN, problem_with
+from app.view.guard.token_bucket import TokenBucket
 
 log = logging.getLogger(__package__)  # one for the whole guard
 
-# A browser sends up to some 20 messages/s of a drag, 50 of the camera, 20 of a slider, and has them
-# in a bunch when something was slow.
-MESSAGES = (200.0, 600.0)  # per client [1/s], at once
-EXCESS = (10.0, 500.0)  # of those dropped for that reason, before the connection is closed
-MISTAKES = (0.2, 20.0)  # messages that no browser would send, likewise
-FRAMES = (4000.0, 12_000.0)  # pings and fragments too: beyond, the connection is cut
-FILES = (50e6, 10e6)  # parts of files are not dropped but taken later [byte/s], [byte]
-STALLED = 20.0  # a client that takes nothing for so long is disconnected [s],
-BEHIND = 300.0  # or takes less than there is for it for so long [s],
-BACKLOG = 256 * 2**20  # or has so much waiting for it: viser sends up to 128 MB at once [byte]
+# Rates per client as (average [1/s], burst). A browser sends about 20 messages/s of a drag, 50 of
+# the camera and 20 of a slider, in bursts after a delay.
+MESSAGES = (200.0, 600.0)  # further messages are dropped
+DROPPED = (10.0, 500.0)  # dropped messages; more close the connection
+INVALID = (0.2, 20.0)  # messages that no browser sends; more close the connection
+FRAMES = (4000.0, 12_000.0)  # WebSocket frames, pings and fragments included; more abort it
+FILES = (50e6, 10e6)  # [byte/s], [byte] parts of files are delayed, not dropped
+# A client is disconnected when
+STALL_TIMEOUT = 20.0  # it has read nothing for so long [s],
+BEHIND_TIMEOUT = 300.0  # its write buffer has not drained for so long [s], or
+MAX_BACKLOG = 256 * 2**20  # so much waits for it; viser sends up to 128 MB at once [byte]
 
 
 class Connection(ServerConnection):
-    """A WebSocket that hands on sound messages at a bearable rate, and does not wait for ever."""
+    """A WebSocket that passes on valid messages at a limited rate, and drops clients that stall."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
-        self._frames = Allowance(*FRAMES)
-        self._messages = Allowance(*MESSAGES)
-        self._excess = Allowance(*EXCESS)
-        self._mistakes = Allowance(*MISTAKES)
-        self._files = Allowance(*FILES)
-        self._expelled = False
-        self._added = 0  # to what waits, since it was looked at [byte]
+        self._frames = TokenBucket(*FRAMES)
+        self._messages = TokenBucket(*MESSAGES)
+        self._dropped = TokenBucket(*DROPPED)
+        self._invalid = TokenBucket(*INVALID)
+        self._files = TokenBucket(*FILES)
+        self._disconnected = False
+        self._added = 0  # to the write buffer since the last check [byte]
         self._behind_since = 0.0
-        self._watch: asyncio.TimerHandle | None = None
+        self._check: asyncio.TimerHandle | None = None
 
     async def recv(self, decode: bool | None = None) -> Any:
-        """The next message that is worth handing on."""
+        """The next valid message within the rate."""
         while True:
             raw = await super().recv(decode)
-            if self._expelled:
-                continue  # came in before the end was known
-            if len(raw) > SMALL:
-                # Not reading on holds back the sender, a browser with a file included.
-                await asyncio.sleep(self._files.owe(len(raw)))
+            if self._disconnected:
+                continue
+            if len(raw) > MAX_PLAIN:
+                # While this waits nothing is read, and TCP slows the sender down.
+                await asyncio.sleep(self._files.charge(len(raw)))
             elif not self._messages.take():
-                if not self._excess.take():
-                    await self._expel("too many messages")
+                if not self._dropped.take():
+                    await self._disconnect("too many messages")
                 continue
             problem = problem_with(raw)
             if problem is None:
                 return raw
-            if not self._mistakes.take():
-                await self._expel(problem)
+            if not self._invalid.take():
+                await self._disconnect(problem)
 
-    async def _expel(self, reason: str) -> None:
-        self._expelled = True
+    async def _disconnect(self, reason: str) -> None:
+        self._disconnected = True
         log.warning("a client was disconnected: %s", reason)
         try:
             async with asyncio.timeout(1.0):
@@ -70,55 +71,55 @@ class Connection(ServerConnection):
             self.transport.abort()
 
     def process_event(self, event: Any) -> None:
-        """Also counts what never becomes a message: pings, and parts of one that never ends."""
+        """Count frames: pings and fragments never arrive as messages."""
         if isinstance(event, Frame) and not self._frames.take():
             self.transport.abort()
             return
         super().process_event(event)
 
     def data_received(self, data: bytes) -> None:
-        """Answers to pings are written without asking whether anybody reads them."""
+        """Check the backlog: answers to pings are written even if the client reads nothing."""
         super().data_received(data)
-        if self.transport.get_write_buffer_size() > BACKLOG:
+        if self.transport.get_write_buffer_size() > MAX_BACKLOG:
             self.transport.abort()
 
     def send_data(self) -> None:
-        """Hand over what is to be sent."""
+        """Write to the transport, counting what is added to its buffer."""
         before = self.transport.get_write_buffer_size()
         super().send_data()
         self._added += self.transport.get_write_buffer_size() - before
 
     def pause_writing(self) -> None:
-        """The client takes less than there is for it: from here on, see that it takes some."""
+        """The write buffer is above its limit: check from now on that the client reads."""
         super().pause_writing()
-        # websockets' own keepalive cannot: its ping waits for the client to read as well.
+        # The keepalive of websockets does not notice: its ping waits in the same buffer.
         self._behind_since = self.loop.time()
-        self._look_again()
+        self._schedule_check()
 
     def resume_writing(self) -> None:
-        """The client keeps up again."""
-        self._stop_looking()
+        """The write buffer has drained."""
+        self._cancel_check()
         super().resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nobody is there any more."""
-        self._stop_looking()
+        """The connection is closed: stop the check."""
+        self._cancel_check()
         super().connection_lost(exc)
 
-    def _look_again(self) -> None:
+    def _schedule_check(self) -> None:
         self._added = 0
         waiting = self.transport.get_write_buffer_size()
-        self._watch = self.loop.call_later(STALLED, self._look, waiting)
+        self._check = self.loop.call_later(STALL_TIMEOUT, self._check_progress, waiting)
 
-    def _stop_looking(self) -> None:
-        if self._watch is not None:
-            self._watch.cancel()
-            self._watch = None
+    def _cancel_check(self) -> None:
+        if self._check is not None:
+            self._check.cancel()
+            self._check = None
 
-    def _look(self, before: int) -> None:
+    def _check_progress(self, before: int) -> None:
         taken = before + self._added - self.transport.get_write_buffer_size()
-        if taken <= 0 or self.loop.time() - self._behind_since > BEHIND:
+        if taken <= 0 or self.loop.time() - self._behind_since > BEHIND_TIMEOUT:
             log.warning("a client was disconnected: it does not read what it is sent")
             self.transport.abort()
         else:
-            self._look_again()
+            self._schedule_check()

@@ -1,4 +1,4 @@
-"""What a message from a browser may look like. Pure functions of what came in."""
+"""Validation of messages from browsers. Pure functions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, Union, get_args, get_origin
 import msgspec
 from viser import _messages as wire
 
-LARGEST = 8 * 2**20  # message [byte]; a rendered picture may be that large
-SMALL = 64 * 2**10  # what is no file and no picture stays below [byte]
-TEXT = 4096  # characters in one string
-ITEMS = 1000  # entries in one list
-DEPTH = 4  # lists within lists
+MAX_MESSAGE = 8 * 2**20  # a rendered picture can be that large [byte]
+MAX_PLAIN = 64 * 2**10  # a message that carries no file or picture [byte]
+MAX_TEXT = 4096  # characters in one string
+MAX_ITEMS = 1000  # entries in one list
+MAX_DEPTH = 4  # of nested lists
 
 INBOUND = (
     "GuiUpdateMessage", "GuiButtonHoldMessage", "GuiFormSubmitMessage", "GuiFormDirtyMessage",
@@ -29,7 +29,7 @@ LARGE = ("FileTransferPart", "GetRenderResponseMessage")
 
 
 def problem_with(raw: bytes | str) -> str | None:
-    """What is wrong with a message as it came in, or None: then viser can read it."""
+    """Why a message is invalid; None: viser can decode it."""
     if not isinstance(raw, bytes):
         return "a message in text"
     try:
@@ -39,15 +39,15 @@ def problem_with(raw: bytes | str) -> str | None:
     kind = fields.pop("type", None) if isinstance(fields, dict) else None
     if not isinstance(kind, str) or kind not in INBOUND:
         return "a message of an unknown kind"
-    if len(raw) > SMALL and kind not in LARGE:
+    if len(raw) > MAX_PLAIN and kind not in LARGE:
         return f"a {kind} that is too large"
     hints, required = _shape(kind)
     if not required <= fields.keys() <= hints.keys():
         return f"a {kind} with other fields"
     for name, value in fields.items():
-        if not _fits(value, hints[name]):
+        if not _matches(value, hints[name]):
             return f"a {kind} with an impossible {name}"
-    # viser sets whatever attribute of a control a client names.
+    # viser would set any attribute of a control that the message names.
     if kind == "GuiUpdateMessage" and fields["updates"].keys() != {"value"}:
         return "an update of something else than a value"
     return None
@@ -55,7 +55,7 @@ def problem_with(raw: bytes | str) -> str | None:
 
 @functools.cache
 def _shape(kind: str) -> tuple[dict[str, Any], set[str]]:
-    """Fields of a message with their types, and those that must be there."""
+    """Fields of a message with their types, and the required ones."""
     message = getattr(wire, kind)
     parameters = inspect.signature(message).parameters.values()
     hints = typing.get_type_hints(message)
@@ -65,36 +65,36 @@ def _shape(kind: str) -> tuple[dict[str, Any], set[str]]:
     )
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a decoded value is of a field's type, its numbers finite, its size bounded."""
+def _matches(value: Any, hint: Any) -> bool:
+    """Whether a decoded value has a field's type, finite numbers and a bounded size."""
     origin, choices = get_origin(hint), get_args(hint)
     if origin is Union:
-        return any(_fits(value, choice) for choice in choices)
+        return any(_matches(value, choice) for choice in choices)
     if origin is typing.Literal:
         return any(type(value) is type(choice) and value == choice for choice in choices)
     if origin is tuple:
-        if not isinstance(value, list) or len(value) > ITEMS:
+        if not isinstance(value, list) or len(value) > MAX_ITEMS:
             return False
         if choices[-1] is Ellipsis:
             choices = choices[:1] * len(value)
-        return len(value) == len(choices) and all(map(_fits, value, choices))
+        return len(value) == len(choices) and all(map(_matches, value, choices))
     if origin is dict:
-        return isinstance(value, dict) and _is_plain(value, DEPTH)
+        return isinstance(value, dict) and _is_plain(value, MAX_DEPTH)
     if hint in (int, float):
-        # Numbers are all of one kind in a browser.
+        # JavaScript does not distinguish integers from floats.
         return type(value) in (int, float) and math.isfinite(value)
     if hint is str:
-        return isinstance(value, str) and len(value) <= TEXT
+        return isinstance(value, str) and len(value) <= MAX_TEXT
     return hint in (bytes, type(None)) and isinstance(value, hint)
 
 
 def _is_plain(value: Any, depth: int) -> bool:
-    """Whether a value of any type is one that a control can have."""
+    """Whether a value is one that a control can have: plain, finite, of bounded size."""
     if isinstance(value, list | dict):
-        if depth == 0 or len(value) > ITEMS:
+        if depth == 0 or len(value) > MAX_ITEMS:
             return False
         parts = [*value, *value.values()] if isinstance(value, dict) else value
         return all(_is_plain(part, depth - 1) for part in parts)
     if isinstance(value, str):
-        return len(value) <= TEXT
+        return len(value) <= MAX_TEXT
     return value is None or (type(value) in (bool, int, float) and math.isfinite(value))

@@ -1,4 +1,4 @@
-"""A viser server behind the guard, and what it keeps. Here the guard is put together."""
+"""A guarded viser server, and counts of what it stores."""
 
 from __future__ import annotations
 
@@ -10,71 +10,76 @@ import viser
 import websockets.asyncio.server
 
 from app.view import script
-from app.view.guard.complaints import complain_sometimes, quiet_log
+from app.view.guard.access import Access
 from app.view.guard.connection import Connection
-from app.view.guard.door import Door
-from app.view.guard.messages import LARGEST
-from app.view.guard.repairs import Unguarded, check, never_share, wake_in_the_loop
+from app.view.guard.logs import connection_log, limited_error_handler
+from app.view.guard.messages import MAX_MESSAGE
+from app.view.guard.patches import (
+    GuardError,
+    check_internals,
+    disable_sharing,
+    patch_message_events,
+)
 
 _swapping = threading.Lock()
 
 
 def serve(host: str, port: int, token: str | None, **options: Any) -> viser.ViserServer:
-    """A viser server behind the guard.
+    """A viser server whose requests and messages are checked.
 
     Args:
-        token: what a client must show; None lets everybody in who reaches it.
+        token: required from clients; None: no token is required.
         options: of `viser.ViserServer`.
 
     Raises:
         OSError: the port is taken.
-        Unguarded: the installed viser is not the one this was written for.
+        GuardError: the installed viser or websockets is not supported.
     """
-    check()
-    wake_in_the_loop()
-    door = Door(host, token)
-    theirs = websockets.asyncio.server.serve
+    check_internals()
+    patch_message_events()
+    access = Access(host, token)
+    original = websockets.asyncio.server.serve
     wrapped: list[bool] = []
 
-    def ours(handler: Any, *arguments: Any, **keywords: Any) -> Any:
-        # In viser's thread, where an exception would make its constructor wait forever.
+    def patched(handler: Any, *arguments: Any, **keywords: Any) -> Any:
+        # Called on viser's thread: an exception here would block viser's constructor forever.
         process: Any = keywords.get("process_request")
         wrapped.append(process is not None)
         keywords.update(
-            process_request=functools.partial(door.process, script.adding(process)),
+            process_request=functools.partial(access.process, script.adding(process)),
             create_connection=Connection,
-            max_size=LARGEST,
+            max_size=MAX_MESSAGE,
             max_queue=4,
             server_header=None,
-            logger=quiet_log(),
+            logger=connection_log(),
         )
-        return theirs(handler, *arguments, **keywords)
+        return original(handler, *arguments, **keywords)
 
     with _swapping:
-        websockets.asyncio.server.serve = ours  # type: ignore[assignment,misc]
+        websockets.asyncio.server.serve = patched  # type: ignore[assignment,misc]
         try:
             server = viser.ViserServer(host, port, **options)
         finally:
-            websockets.asyncio.server.serve = theirs  # type: ignore[misc]
+            websockets.asyncio.server.serve = original  # type: ignore[misc]
     try:
         if not wrapped or not all(wrapped):
-            raise Unguarded(f"viser {viser.__version__} does not serve as it used to")
+            raise GuardError(f"viser {viser.__version__} does not serve as expected")
         if port not in (0, server.get_port()):
             raise OSError(f"port {port} on {host} was taken meanwhile: choose another with --port")
-        never_share(server)
-        server.get_event_loop().set_exception_handler(complain_sometimes())
+        disable_sharing(server)
+        server.get_event_loop().set_exception_handler(limited_error_handler())
     except Exception:
         server.stop()
         raise
     return server
 
 
-def census(server: viser.ViserServer) -> dict[str, int]:
-    """What viser keeps, in numbers: a page that runs for days must not keep more and more.
+def resource_counts(server: viser.ViserServer) -> dict[str, int]:
+    """Counts of what viser stores, to detect growth over a long run.
 
     Returns:
-        "nodes" of the scene, "controls" of the panel, "messages" kept for whoever joins,
-        "clients" connected, and "backlog", the most messages that one of them has yet to be sent.
+        "nodes" of the scene, "controls" of the panel, "messages" stored for new clients,
+        connected "clients", and "backlog": the most messages that wait for one client.
     """
     shared = server._websock_server._broadcast_buffer
     states = list(server._websock_server._client_state_from_id.values())

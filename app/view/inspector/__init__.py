@@ -1,7 +1,7 @@
-"""The inspector: why each triangle near the tool gave a plane, or was passed over.
+"""The inspector: why each triangle near the tool gave a plane, or gave none.
 
-`InspectorTab` is the door, a part of the page. It reads the tick that the page shows; what takes
-longer than a frame is worked out on a thread of its own, with an arm of its own.
+`InspectorTab` is the part of the page. It inspects the tick that the page shows; what takes longer
+than a frame is computed on a thread of its own, with its own copy of the arm.
 """
 
 from app.view.inspector.tab import InspectorTab

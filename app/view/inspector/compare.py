@@ -1,7 +1,7 @@
-"""What every rule would do at one pose: planes, the step, and what leaks or is blocked needlessly.
+"""Comparison of all rules at one pose: planes, next step, leaks and needlessly blocked space.
 
-The arm and the controllers are this module's own. Leaks and blocked space are judged by sampling,
-with no code of the rules, over the triangles that `app.judges.boxes` finds.
+Leaks and blocked space are estimated by sampling, with no code of the rules, over the triangles
+that `app.judges.boxes` finds.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from app.view.inspector.picking import distances
 FloatArray = NDArray[np.float64]
 
 SAMPLES = 2000  # points of the surface
-PATHS = 96  # straight ways out of x
-NEAREST = 1500  # triangles that a way is tested against at most
-BLOCK = 64  # planes judged at a time
+PATHS = 96  # straight paths from x
+MAX_TRIANGLES = 1500  # that a path is tested against, the nearest ones
+BLOCK = 64  # planes tested at a time
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What one rule would do.
+    """Result of one rule.
 
     Attributes:
         rule: its name.
-        planes: how many.
+        planes: their number.
         leaking: share of the surface in the ball that is on the allowed side of every plane.
-        blocked: share of the free space of the ball (what a straight free path reaches) that the
-            planes forbid; nan where none was found.
-        step: how far the tip would move in the next tick [m]; nan without an arm at x, or a proxy.
-        p_tip: (3,) where it would go [m].
+        blocked: share of the ball's free space (reached by straight free paths) that the planes
+            forbid; nan if no free point was found.
+        step: length of the tip's next step [m]; nan without a `Pose`.
+        p_tip: (3,) the tip after that step [m].
         gap: from there to the surface [m].
-        crosses: whether the way there meets the surface.
+        crosses: whether the step meets the surface.
     """
 
     rule: str
@@ -55,7 +55,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Pose:
-    """The arm's joints (n,) and the proxy that a step would be made from and towards."""
+    """Joint positions (n,) and proxy of the next step."""
 
     q: FloatArray
     target: pin.SE3
@@ -63,12 +63,12 @@ class Pose:
 
 @dataclass(frozen=True)
 class Forecasts:
-    """What every rule would do from one and the same state.
+    """Results of all rules from the same state.
 
     Attributes:
-        x: (3,) where the tip, or the probe, was then [m].
-        tick: the tick after which it was so; None for a probe.
-        of: a forecast for each rule.
+        x: (3,) the tip or the probe [m].
+        tick: number of the tick; None for a probe.
+        of: one forecast per rule.
     """
 
     x: FloatArray
@@ -77,7 +77,7 @@ class Forecasts:
 
 
 class Comparison:
-    """One scene's arm and a controller for each rule; for one thread at a time."""
+    """A copy of a scene's arm and one controller per rule; for one thread at a time."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -93,15 +93,15 @@ class Comparison:
         options: Options,
         pose: Pose | None,
     ) -> tuple[Forecast, ...]:
-        """Every rule at x (3,); without a `pose` no step is made."""
-        rng = np.random.default_rng(0)  # the same points each time: the numbers do not flicker
+        """Forecasts at x (3,) [m]; without a `pose` no step is computed."""
+        rng = np.random.default_rng(0)  # the same samples each time, for steady numbers
         reach = radius + options.tip_radius
         near = boxes.near(boxes.of(surface), x, x, reach)
         away = oracles.distances(surface, near, x)
         near = near[np.argsort(away)[: np.count_nonzero(away <= reach)]]
         corners = surface.vertices[surface.faces[near]] - x
         on_surface = sample(corners, reach, SAMPLES, rng)
-        free = reachable(corners[:NEAREST], radius, PATHS, rng)
+        free = reachable(corners[:MAX_TRIANGLES], radius, PATHS, rng)
         inside = surface.inside(x)
         found = []
         for rule in vf.RULES:
@@ -119,7 +119,7 @@ class Comparison:
     def _step(
         self, rule: str, surface: vf.Surface, options: Options, pose: Pose
     ) -> tuple[float, FloatArray, float, bool]:
-        """What the next tick would do: see `Forecast`."""
+        """Step, p_tip, gap and crosses of a `Forecast`."""
         made = self._controller(rule, options).step(pose.q, pose.target)
         start = np.array(self._arm.tip(pose.q).translation)
         p_tip = np.array(made.tip.translation)
@@ -130,7 +130,7 @@ class Comparison:
         return step, p_tip, surface.nearest(p_tip)[0], bool(step > 0.0 and (met <= 1.0).any())
 
     def _controller(self, rule: str, options: Options) -> vf.Controller:
-        """As the session would make it, a corridor and all."""
+        """The controller that the session would use, with its corridor."""
         if self._options != options:
             self._options, self._controllers = options, {}
         if rule not in self._controllers:
@@ -140,7 +140,7 @@ class Comparison:
 
 
 def _share(planes: vf.Planes, x: FloatArray, points: FloatArray, tip_radius: float) -> float:
-    """Share of points (k, 3), relative to x, that are allowed; nan of none."""
+    """Share of points (k, 3), relative to x, that are allowed; nan for no points."""
     if len(points) == 0:
         return float("nan")
     within = np.linalg.norm(points, axis=1) <= planes.radius + tip_radius
@@ -152,7 +152,7 @@ def allowed(
 ) -> NDArray[np.bool_]:
     """Which of the points (k, 3), relative to x, are on the allowed side of every plane.
 
-    With a tip radius the planes stand closer to the surface by it.
+    With a tip radius the planes are shifted towards the surface by it.
     """
     offsets = planes.offsets - planes.normals @ x - tip_radius
     left = np.arange(len(points))
@@ -166,10 +166,10 @@ def allowed(
 
 
 def sample(corners: FloatArray, reach: float, count: int, rng: np.random.Generator) -> FloatArray:
-    """Up to `count` points, even over what triangles (m, 3, 3) have in the ball around the origin.
+    """Up to `count` points, uniform over the area of triangles (m, 3, 3) in a ball at the origin.
 
-    Each point is drawn from a triangle or from the disc in which the ball cuts its plane, whichever
-    is smaller, and kept if it lies in both.
+    Each point is drawn from a triangle or from the disc of its plane in the ball, whichever is
+    smaller, and kept if it lies in both.
     """
     if len(corners) == 0:
         return np.zeros((0, 3))
@@ -200,7 +200,7 @@ def sample(corners: FloatArray, reach: float, count: int, rng: np.random.Generat
     from_triangle = 0.5 * doubled[i] <= np.pi * disc2[i]
     points = np.where(from_triangle[:, None], on_triangle, on_disc)
     kept = np.linalg.norm(points, axis=1) <= reach
-    # Barycentric coordinates of what came from a disc.
+    # Barycentric coordinates, for the points drawn from a disc.
     w = points - a[i]
     p = np.einsum("ij,ij->i", np.cross(w, v[i]), n[i]) / doubled[i]
     q = np.einsum("ij,ij->i", np.cross(u[i], w), n[i]) / doubled[i]
@@ -211,7 +211,7 @@ def sample(corners: FloatArray, reach: float, count: int, rng: np.random.Generat
 def reachable(
     corners: FloatArray, radius: float, count: int, rng: np.random.Generator
 ) -> FloatArray:
-    """Of `count` random points in the ball around the origin, those on a straight free path."""
+    """Of `count` random points in a ball at the origin, those that a straight free path reaches."""
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ends = directions * (radius * rng.random((count, 1)) ** (1.0 / 3.0))

@@ -1,4 +1,4 @@
-"""Layer: triangles in the sphere coloured by their state, the chosen one, the allowed region."""
+"""Layer: triangles in the sphere coloured by state, the chosen one, the allowed region."""
 
 from __future__ import annotations
 
@@ -7,32 +7,35 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.view import palette
+from app.view import nodes, palette
+from app.view.inspector.descriptions import states
 from app.view.inspector.inspection import Inspection, Subject
 from app.view.inspector.region import Region
-from app.view.inspector.words import states
 from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
 
-LIFT = 0.008  # of the sphere's radius: towards the tool, clear of the mesh's own triangles
-DOT = 0.06  # size of the closest point's dot, of the sphere's radius
+# In radii of the motion sphere.
+LIFT = 0.008  # offset along the normals, clear of the mesh's own triangles
+DOT = 0.06  # diameter of the closest point's dot
 
 
 class NearDrawing:
-    """What the inspector adds to the anatomy. What did not change is not sent again."""
+    """What the inspector draws on the anatomy; only changes are sent."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self._meshes = {
-            state: _mesh(api, f"/inspector/near/{state.name.lower()}", look.color)
+            state: nodes.mesh(
+                api, f"/inspector/near/{state.name.lower()}", look.color, flat_shading=True
+            )
             for state, look in palette.TRIANGLE_STATES.items()
         }
-        self._grid = _lines(api, "/inspector/near/grid", (90, 90, 90), 1.0)
-        self._outline = _lines(api, "/inspector/chosen/outline", palette.BLACK, 5.0)
-        self._neighbours = _lines(api, "/inspector/chosen/neighbours", palette.BLACK, 2.0)
-        self._foot = _lines(api, "/inspector/chosen/foot", palette.BLACK, 2.5)
-        self._feet = _lines(api, "/inspector/chosen/feet", (90, 90, 90), 1.5)
+        self._grid = nodes.lines(api, "/inspector/near/grid", 1.0, (90, 90, 90))
+        self._outline = nodes.lines(api, "/inspector/chosen/outline", 5.0, palette.BLACK)
+        self._neighbours = nodes.lines(api, "/inspector/chosen/neighbours", 2.0, palette.BLACK)
+        self._foot = nodes.lines(api, "/inspector/chosen/foot", 2.5, palette.BLACK)
+        self._feet = nodes.lines(api, "/inspector/chosen/feet", 1.5, (90, 90, 90))
         self._dot = api.add_icosphere(
             "/inspector/chosen/point",
             radius=1.0,
@@ -42,7 +45,9 @@ class NearDrawing:
             visible=False,
         )
         self._name = labels.add("/inspector/chosen/name", anchor="bottom-left")
-        self._region = _mesh(api, "/inspector/region", palette.SPHERE, opacity=0.45)
+        self._region = nodes.mesh(
+            api, "/inspector/region", palette.SPHERE, opacity=0.45, flat_shading=True
+        )
         self._shown: dict[palette.TriangleState, bytes] = {}
         self._grid_shown = b""
         self._solid: Region | None = None
@@ -50,7 +55,7 @@ class NearDrawing:
         self._radius = 0.0
 
     def hide(self) -> None:
-        """Take everything away until the next `draw`."""
+        """Hide everything until the next `draw`."""
         chosen = self._outline, self._neighbours, self._foot, self._feet, self._dot
         for node in (*self._meshes.values(), self._grid, *chosen, self._region):
             node.visible = False
@@ -58,7 +63,7 @@ class NearDrawing:
         self._shown, self._grid_shown, self._solid = {}, b"", None
 
     def draw(self, inspection: Inspection, chosen: int) -> None:
-        """Draw an inspection and the triangle that was chosen (−1: none)."""
+        """Draw an inspection and the chosen triangle (−1: none)."""
         self._draw_near(inspection)
         self._draw_chosen(inspection.subject, inspection.explanation, chosen)
         solid = inspection.region
@@ -114,7 +119,7 @@ class NearDrawing:
         for node in (self._outline, self._foot, self._dot):
             node.visible = True
         self._name.visible = True
-        # In a case, everybody's closest point tells the story.
+        # In a case of the paper, the closest points of both triangles.
         self._feet.visible = bool(subject.names)
         if subject.names:
             x = np.broadcast_to(subject.x, explanation.points.shape)
@@ -124,10 +129,10 @@ class NearDrawing:
 def _lifted(
     explanation: vf.Explanation, triangles: NDArray[np.int64], share: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Corners (k, 3, 3) of triangles moved outwards, and inwards as well where x is behind.
+    """Corners (k, 3, 3) of triangles offset outwards, and also inwards for those that x is behind.
 
-    Also returns where it is. An outer face that x is behind is looked at from outside, an open
-    sheet from behind.
+    Also returns a mask of the latter. Both sides are drawn, as an outer face is seen from outside,
+    an open sheet from behind.
     """
     surface = explanation.surface
     corners = surface.vertices[surface.faces[triangles]]
@@ -138,35 +143,5 @@ def _lifted(
 
 
 def _edges(corners: FloatArray) -> FloatArray:
-    """The sides (3k, 2, 3) of triangles (k, 3, 3)."""
+    """Edges (3k, 2, 3) of triangles (k, 3, 3)."""
     return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-
-
-def _mesh(
-    api: viser.SceneApi, name: str, color: palette.Rgb, opacity: float | None = None
-) -> viser.MeshHandle:
-    return api.add_mesh_simple(
-        name,
-        vertices=np.zeros((3, 3), dtype=np.float32),
-        faces=np.array([[0, 1, 2]], dtype=np.uint32),
-        color=color,
-        opacity=opacity,
-        flat_shading=True,
-        side="double",
-        cast_shadow=False,
-        receive_shadow=False,
-        visible=False,
-    )
-
-
-def _lines(
-    api: viser.SceneApi, name: str, color: palette.Rgb, thickness: float
-) -> viser.LineSegmentsHandle:
-    return api.add_line_segments(
-        name,
-        points=np.zeros((1, 2, 3), dtype=np.float32),
-        colors=color,
-        thickness=thickness,
-        thickness_units="screen",
-        visible=False,
-    )

@@ -1,4 +1,4 @@
-"""The cases of the paper's Figures 4 and 5 as surfaces of two triangles, to be looked at."""
+"""The cases of the paper's Figures 4 and 5, as surfaces of two triangles."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import vf
 FloatArray = NDArray[np.float64]
 
 UNIT = 4e-3  # from the shared edge to the tool [m]
-RADIUS = 2.0 * UNIT  # of the sphere
-LENGTH = 3.0 * UNIT  # of the triangles across the edge
+RADIUS = 2.0 * UNIT  # of the motion sphere [m]
+LENGTH = 3.0 * UNIT  # of the triangles, perpendicular to the edge [m]
 HALF_EDGE = 2.0 * UNIT
 T1, T2 = 0, 1
 NAMES = {T1: "T1", T2: "T2"}
@@ -21,13 +21,13 @@ NAMES = {T1: "T1", T2: "T2"}
 
 @dataclass(frozen=True)
 class Case:
-    """Two triangles that meet in an edge, drawn in the plane across it.
+    """Two triangles with a common edge, described in the plane perpendicular to it.
 
     Attributes:
-        name: the figure and the letter.
-        rise: of T2 from the continuation of T1 [°]; negative is convex, a ridge.
-        bearing: of the tool as seen from the edge, from the continuation of T1 upwards [°].
-        expect: what to see, in a sentence.
+        name: of the figure.
+        rise: angle from the continuation of T1 up to T2 [°]; negative: convex, a ridge.
+        bearing: angle from the continuation of T1 up to the tool, at the edge [°].
+        expect: description of the result.
     """
 
     name: str
@@ -84,14 +84,14 @@ CASES = {
 
 
 def shape(case: Case) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Vertices (4, 3) [m] and faces (2, 3), the edge along y through the origin, T1 towards −x."""
+    """Vertices (4, 3) [m] and faces (2, 3): edge along y through the origin, T1 towards −x."""
     far = LENGTH * _polar(case.rise)
     corners = [[0, -HALF_EDGE, 0], [0, HALF_EDGE, 0], [-LENGTH, 0, 0], far]
     return np.array(corners, dtype=np.float64), np.array([[0, 1, 2], [1, 0, 3]])
 
 
 def place(case: Case, R: FloatArray, origin: FloatArray) -> tuple[vf.Surface, FloatArray]:
-    """The case turned by R (3, 3) and moved to origin (3,): its surface, and where the tool is."""
+    """Surface and tool position of a case, rotated by R (3, 3) and moved to origin (3,) [m]."""
     vertices, faces = shape(case)
     x = UNIT * _polar(case.bearing)
     return vf.Surface.from_arrays(vertices @ R.T + origin, faces), R @ x + origin

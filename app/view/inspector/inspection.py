@@ -1,4 +1,4 @@
-"""What the inspector asks of its thread, and the answer: frozen values, nothing of the page."""
+"""The inspector's requests and results: frozen values, independent of the page."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from app.view.inspector.region import Region, allowed_region
 
 FloatArray = NDArray[np.float64]
 
-MOST = 2000  # triangles examined: the nearest ones
-SLOW = 0.5  # shortest time between two comparisons [s]
+MAX_TRIANGLES = 2000  # examined, the nearest ones
+COMPARISON_PERIOD = 0.5  # shortest time between two comparisons [s]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What is looked at: the tool at a tick, or the probe while it explores.
+    """What is inspected: the tool at a tick, or the probe.
 
     Attributes:
         surface: the anatomy, or one of the paper's cases.
         x: (3,) [m].
         radius: of the motion sphere [m].
-        options: the session's: standoff, tip radius and the like.
-        rule: whose planes are in force there, or shown at the probe.
-        scene: whose arm makes the steps of the forecasts.
-        step: the tick that is shown; None for a probe.
-        pose: to make them from; None for a probe, or without a proxy.
-        names: of triangles, where they have any.
-        tick: number of the tick that is shown.
+        options: the session's.
+        rule: the one in force, or the one shown at the probe.
+        scene: its arm is used for the forecasts.
+        step: of the shown tick; None for a probe.
+        pose: for the forecasts; None for a probe, or without a proxy.
+        names: of the triangles, if they have names.
+        tick: number of the shown tick.
     """
 
     surface: vf.Surface
@@ -49,11 +49,11 @@ class Subject:
     tick: int | None = None
 
     def name(self, triangle: int) -> str:
-        """What to call a triangle."""
+        """Name of a triangle."""
         return self.names[triangle] if triangle < len(self.names) else f"#{triangle:,}"
 
     def same_setting(self, other: Subject) -> bool:
-        """Whether another one is of the same surface, settings and kind (a tool, or a probe)."""
+        """Whether another one has the same surface, options and kind (tool or probe)."""
         return (
             self.surface is other.surface
             and self.scene is other.scene
@@ -62,7 +62,7 @@ class Subject:
         )
 
     def same_place(self, other: Subject | None) -> bool:
-        """Whether the triangles around it, and what is said of them, are those of another."""
+        """Whether another one has the same triangles and explanations."""
         return other is not None and (
             self.surface is other.surface
             and self.radius == other.radius
@@ -73,15 +73,15 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Question:
-    """A subject, and what is wanted of it."""
+class Request:
+    """A subject, and whether its region and the comparison of rules are wanted."""
 
     subject: Subject
     region: bool
     comparison: bool
 
-    def same(self, other: Question | None) -> bool:
-        """Whether another one has the same answer."""
+    def same(self, other: Request | None) -> bool:
+        """Whether another one has the same result."""
         return (
             other is not None
             and self.subject.step is other.subject.step
@@ -92,17 +92,17 @@ class Question:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The answer.
+    """The result of a `Request`.
 
     Attributes:
-        subject: what was looked at.
-        explanation: triangle by triangle.
-        planes: of the rule in force, as of the tick, or as they would be at the probe.
-        multipliers: (m,) how far each of the planes pushed the tip back in the tick [m].
-        region: the allowed region, None: not asked for.
-        forecasts: of every rule, None: not asked for. All are of one moment, which may be
-            an earlier one than the subject's: comparing takes long.
-        settled: asking the same once more would change nothing.
+        subject: what was inspected.
+        explanation: for each triangle.
+        planes: of the tick, or of the subject's rule at the probe.
+        multipliers: (m,) how far each plane pushed the tip back in the tick [m].
+        region: the allowed region; None: not requested.
+        forecasts: of all rules; None: not requested. As they take long, they may be of an earlier
+            moment than the subject, the same one for all rules.
+        settled: whether the same request would give the same result again.
     """
 
     subject: Subject
@@ -113,14 +113,14 @@ class Inspection:
     forecasts: Forecasts | None
     settled: bool = True
 
-    def leaning(self, triangle: int) -> tuple[float, float]:
-        """How far the planes under a triangle pushed the tip back [m], and their share of all."""
+    def push(self, triangle: int) -> tuple[float, float]:
+        """How far a triangle's planes pushed the tip back [m], and their share of all pushes."""
         total = float(self.multipliers.sum())
         mine = float(self.multipliers[self.planes.triangles == triangle].sum())
         return mine, mine / total if total > 0.0 else 0.0
 
-    def foremost(self) -> int:
-        """The triangle whose plane pushes most; the nearest one if none does; −1 without any."""
+    def main_triangle(self) -> int:
+        """The triangle whose plane pushes most, else the nearest; −1 if there is none."""
         pushes = np.where(self.planes.triangles >= 0, self.multipliers, 0.0)
         if pushes.max(initial=0.0) > 0.0:
             return int(self.planes.triangles[pushes.argmax()])
@@ -128,17 +128,17 @@ class Inspection:
 
 
 class Inspector:
-    """Answers questions, one after the other; keeps what did not change."""
+    """Computes inspections; reuses what did not change."""
 
     def __init__(self) -> None:
         self._comparison: tuple[Scene, Comparison] | None = None
-        self._compared = 0.0  # when [s]
+        self._compared_at = 0.0  # monotonic time [s]
         self._last: Inspection | None = None
-        self._question: Question | None = None
+        self._request: Request | None = None
 
-    def answer(self, question: Question) -> Inspection:
-        """Examine the subject."""
-        subject, last = question.subject, self._last
+    def inspect(self, request: Request) -> Inspection:
+        """Inspect the subject of a request."""
+        subject, last = request.subject, self._last
         options = subject.options
         same = last is not None and subject.same_place(last.subject)
         if last is not None and same:
@@ -150,7 +150,7 @@ class Inspector:
                 subject.radius,
                 options.standoff,
                 options.tip_radius,
-                MOST,
+                MAX_TRIANGLES,
             )
         if subject.step is not None:
             planes, multipliers = subject.step.planes, subject.step.multipliers
@@ -158,20 +158,20 @@ class Inspector:
             planes = _planes(subject, explanation)
             multipliers = np.zeros(len(planes))
         region = None
-        if question.region:
+        if request.region:
             if last is not None and same and _equal(last.planes, planes):
                 region = last.region
             region = region or allowed_region(planes, subject.x)
         forecasts, settled = None, True
-        if question.comparison:
+        if request.comparison:
             alike = last is not None and last.subject.same_setting(subject)
             forecasts = last.forecasts if last is not None and alike else None
-            due = time.monotonic() > self._compared + SLOW
-            settled = last is not None and last.settled and question.same(self._question)
+            due = time.monotonic() > self._compared_at + COMPARISON_PERIOD
+            settled = last is not None and last.settled and request.same(self._request)
             if forecasts is None or (due and not settled):
                 forecasts, settled = self._compare(subject), True
-                self._compared = time.monotonic()
-        self._question = question
+                self._compared_at = time.monotonic()
+        self._request = request
         self._last = Inspection(
             subject, explanation, planes, multipliers, region, forecasts, settled
         )
@@ -195,7 +195,7 @@ def _equal(a: vf.Planes, b: vf.Planes) -> bool:
 
 
 def _planes(subject: Subject, explanation: vf.Explanation) -> vf.Planes:
-    """The planes of the subject's rule, where no tick has made them."""
+    """The planes of the subject's rule at a probe."""
     if subject.rule == "paper":
         return explanation.paper
     if subject.rule == "certified":

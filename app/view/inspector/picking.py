@@ -1,4 +1,4 @@
-"""Which triangle of a surface is under the cursor: a ray against the PD-tree."""
+"""Picking: the triangle of a surface that a ray meets first, by the PD-tree."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ FloatArray = NDArray[np.float64]
 
 
 def pick(surface: vf.Surface, origin: ArrayLike, direction: ArrayLike) -> int:
-    """The first triangle that a ray from origin (3,) [m] meets, −1: none.
+    """The first triangle that a ray from origin (3,) [m] meets; −1: none.
 
-    All nodes of one depth at a time, so a million triangles take some ten numpy steps.
+    The tree is traversed breadth-first, all nodes of a level at once.
 
     Raises:
         ValueError: the ray is not made of finite numbers, or has no direction.
@@ -47,9 +47,9 @@ def pick(surface: vf.Surface, origin: ArrayLike, direction: ArrayLike) -> int:
 
 
 def distances(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:
-    """How far along a ray each of the triangles (m, 3, 3) is met, in lengths of `direction`.
+    """Distance along a ray to each triangle (m, 3, 3), in lengths of `direction`; inf: not met.
 
-    Infinite where it is not. After Möller and Trumbore, both sides of a triangle alike.
+    Möller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997; without culling.
     """
     a = corners[:, 0]
     u, v = corners[:, 1] - a, corners[:, 2] - a
@@ -66,14 +66,14 @@ def distances(corners: FloatArray, origin: FloatArray, direction: FloatArray) ->
 
 
 def _meets(boxes: FloatArray, o: FloatArray, d: FloatArray) -> NDArray[np.bool_]:
-    """Whether the ray meets each box (k, 15) of the tree: slab by slab."""
+    """Which boxes (k, 15) of the tree the ray meets, by the slab test."""
     axes = boxes[:, 6:15].reshape(-1, 3, 3)
     start = axes @ o - np.einsum("kij,kj->ki", axes, boxes[:, :3])
     along = axes @ d
     half = boxes[:, 3:6] * (1.0 + 1e-9) + 1e-12
     with np.errstate(divide="ignore", invalid="ignore"):
         t0, t1 = (-half - start) / along, (half - start) / along
-    flat = along == 0.0  # beside such a slab or within it, whatever the length
+    flat = along == 0.0  # parallel to the slab
     beside = (flat & (np.abs(start) > half)).any(axis=1)
     enter = np.where(flat, -np.inf, np.minimum(t0, t1)).max(axis=1)
     leave = np.where(flat, np.inf, np.maximum(t0, t1)).min(axis=1)

@@ -1,4 +1,4 @@
-"""Layer: the inspector's own point, its gizmo, the planes there; and the surface of a case."""
+"""Layer: the inspector's probe with its gizmo and planes, and the surface of a case."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.scene.scene import Scene
-from app.view import palette
+from app.view import nodes, palette
 from app.view.camera import DIRECTION, FIELD_OF_VIEW, View
 from app.view.fixture import FixtureDrawing
 from app.view.inspector import figures
@@ -18,13 +18,13 @@ from app.view.units import to_buffer, to_view
 FloatArray = NDArray[np.float64]
 
 GIZMO_SIZE = 60.0  # length of its arrows [px]: smaller than the proxy's
-BALL = 0.05  # radius of its dot, of the sphere's
-# Where the cases are shown: this far from the anatomy, which is then behind the camera [m].
-ASIDE = 0.6
+BALL = 0.05  # radius of the dot, in radii of the sphere
+# Distance of the cases from the anatomy, which is then behind the camera [m].
+CASE_OFFSET = 0.6
 
 
 class Probe:
-    """A yellow dot with a small gizmo of its own; it moves nothing but itself."""
+    """A yellow dot with a gizmo that moves only the dot."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
         self.gizmo = api.add_transform_controls(
@@ -50,24 +50,14 @@ class Probe:
         self._fixture.show_triangles = False  # the inspector draws them
         self._fixture.inspected = True
         self._fixture.hide()
-        self._case = api.add_mesh_simple(
-            "/probe/case",
-            vertices=np.zeros((3, 3), dtype=np.float32),
-            faces=np.array([[0, 1, 2]], dtype=np.uint32),
-            color=palette.BONE,
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
+        self._case = nodes.mesh(api, "/probe/case", palette.BONE, flat_shading=True)
         self._case_names = [
             labels.add(f"/probe/{name}", name, anchor="center-center", scale=1.0)
             for name in figures.NAMES.values()
         ]
 
     def hide(self) -> None:
-        """Take everything away."""
+        """Hide everything."""
         for node in (self.gizmo, self._ball, self._case):
             node.visible = False
         for label in (self._name, *self._case_names):
@@ -79,7 +69,7 @@ class Probe:
         self.gizmo.position = to_view(x)
 
     def show_case(self, case: figures.Case | None, R: FloatArray, origin: FloatArray) -> None:
-        """Draw the two triangles of a case, turned and placed; None: no case."""
+        """Draw a case, rotated by R (3, 3) and moved to origin (3,) [m]; None: hide it."""
         self._case.visible = case is not None
         for name in self._case_names:
             name.visible = case is not None
@@ -89,7 +79,6 @@ class Probe:
         self._case.vertices = to_buffer(vertices @ R.T + origin)
         self._case.faces = faces.astype(np.uint32)
         for name, face in zip(self._case_names, faces, strict=True):
-            # Near the far end of each, towards the viewer.
             outer = vertices[next(v for v in face if v > 1)]
             place = 0.8 * outer - np.array([0.0, 0.1 * figures.LENGTH, 0.0])
             name.position = to_view(R @ place + origin)
@@ -106,19 +95,19 @@ class Probe:
         )
 
 
-def beside(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Where cases stand in a scene: rotation (3, 3) and origin (3,).
+def case_pose(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Pose of the cases in a scene: rotation (3, 3) and origin (3,) [m].
 
-    The shared edge (y) points away from the anatomy, so whoever looks along it has that behind.
+    The common edge (y) points away from the anatomy.
     """
     toward = np.array([*DIRECTION[:2], 0.0]) / np.linalg.norm(DIRECTION[:2])
     up = np.array([0.0, 0.0, 1.0])
     R = np.column_stack([np.cross(toward, up), toward, up])
-    return R, scene.T_base_start.translation + ASIDE * toward
+    return R, scene.T_base_start.translation + CASE_OFFSET * toward
 
 
 def case_view(R: FloatArray, origin: FloatArray) -> View:
-    """Along the edge, a little from above and from the right: the paper's drawing, with depth."""
+    """Along the edge, slightly from above and from the right, similar to the paper's figures."""
     distance = 1.35 * figures.LENGTH / np.sin(FIELD_OF_VIEW / 2.0)
     away = np.array([0.14, -0.97, 0.2])
     centre = R @ np.array([0.0, 0.0, 0.1 * figures.LENGTH]) + origin

@@ -1,4 +1,4 @@
-"""The allowed region of a tick as a solid: the motion sphere cut by every plane's half-space."""
+"""The allowed region of a tick as a solid: motion sphere ∩ half-spaces of all planes."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ import vf
 
 FloatArray = NDArray[np.float64]
 
-FACETS = 400  # of the polyhedron that stands for the ball
-# A region that holds no ball of this share of the sphere's radius is not drawn.
-THINNEST = 1e-4
+FACETS = 400  # of the polyhedron that approximates the ball
+# Smallest radius of a ball inside a region that is drawn, in radii of the sphere.
+MIN_RADIUS = 1e-4
 
 
 @dataclass(frozen=True)
 class Region:
-    """A convex solid; empty where the planes leave (next to) no room.
+    """A convex solid; empty if the planes leave (almost) no room.
 
     Attributes:
         vertices: (n, 3) [m].
         faces: (k, 3).
-        share: of the ball's volume that is allowed.
+        share: of the ball's volume.
     """
 
     vertices: FloatArray
@@ -38,24 +38,24 @@ EMPTY = Region(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), 0.0)
 
 
 def allowed_region(planes: vf.Planes, x: FloatArray) -> Region:
-    """Ball ∩ half-spaces around x (3,), the ball as a polyhedron *inside* it.
+    """Ball ∩ half-spaces around x (3,) [m], with an inscribed polyhedron for the ball.
 
-    Nothing drawn is forbidden, then; 2.0 % of the ball's volume is not drawn.
+    The polyhedron has 98.0 % of the ball's volume.
     """
     radius = planes.radius
     if radius <= 0.0:
         return EMPTY
-    # In radii from x, n·z + c ≤ 0.
+    # Half-spaces n·z + c ≤ 0, z in radii from x.
     room = planes.slack(x) / radius
     cutting = room < 1.0
     half_spaces = np.vstack([_ball(), np.column_stack([-planes.normals[cutting], -room[cutting]])])
-    found = linprog(  # the centre and radius of the largest ball in it
+    found = linprog(  # centre and radius of the largest inscribed ball
         [0.0, 0.0, 0.0, -1.0],
         A_ub=np.column_stack([half_spaces[:, :3], np.ones(len(half_spaces))]),
         b_ub=-half_spaces[:, 3],
         bounds=[(None, None)] * 3 + [(0.0, None)],
     )
-    if found.status != 0 or found.x[3] < THINNEST:
+    if found.status != 0 or found.x[3] < MIN_RADIUS:
         return EMPTY
     try:
         corners = HalfspaceIntersection(half_spaces, found.x[:3]).intersections
@@ -75,10 +75,10 @@ def allowed_region(planes: vf.Planes, x: FloatArray) -> Region:
 
 @cache
 def _ball() -> FloatArray:
-    """Half-spaces (k, 4) of a polyhedron whose corners lie within the unit ball."""
+    """Half-spaces (k, 4) of a polyhedron inscribed in the unit ball, evenly spread."""
     k = np.arange(FACETS)
     z = 1.0 - (2.0 * k + 1.0) / FACETS
-    angle = k * np.pi * (3.0 - np.sqrt(5.0))  # the golden angle: evenly spread directions
+    angle = k * np.pi * (3.0 - np.sqrt(5.0))  # golden angle
     s = np.sqrt(1.0 - z * z)
     normals = np.column_stack([s * np.cos(angle), s * np.sin(angle), z])
     tangent = np.column_stack([normals, -np.ones(FACETS)])

@@ -1,4 +1,4 @@
-"""The tab "Inspector": its controls, and what follows from them."""
+"""Tab "Inspector": its controls and their effects."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from app.recording.playback import Moment
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
-from app.view.inspector import figures, words
+from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Pose
 from app.view.inspector.drawing import NearDrawing
-from app.view.inspector.inspection import Inspection, Inspector, Question, Subject
+from app.view.inspector.inspection import Inspection, Inspector, Request, Subject
 from app.view.inspector.picking import pick
-from app.view.inspector.probe import Probe, beside, case_view
+from app.view.inspector.probe import Probe, case_pose, case_view
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, pose_from_view
 from app.view.worker import Worker
 
 FloatArray = NDArray[np.float64]
 
-ASK = 0.08  # shortest time between two questions to the thread [s]
+REQUEST_PERIOD = 0.08  # shortest time between two requests [s]
 HERE = "this anatomy"
 BACK, MAIN, ON = "◀", "Main", "▶"
-RULES = ("paper", "certified", "all")  # whose planes are shown at the probe
-FARTHEST_PROBE = 2.0  # a probe farther than this from the base is a mistake [m]
+RULES = ("paper", "certified", "all")  # for the planes at the probe
+MAX_PROBE_DISTANCE = 2.0  # reject probe positions farther than this from the base [m]
 
 _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-soft)"
 _INTRO = (
@@ -43,37 +43,35 @@ _INTRO = (
 
 
 class InspectorTab(Part):
-    """A part of the page, see `app.view.part`. Shared by all who look on.
+    """The tab and its drawings, shared by all clients.
 
-    Clicks come on the event loop and only change a few attributes, each at once; the view thread
-    reads them. Orders to the session go through the hand.
+    Callbacks on the event loop only set attributes, which the view thread reads. Orders to the
+    session go through `client_input`.
     """
 
     def __init__(self, context: PageContext) -> None:
         self._context = context
         self._scene = context.session.scene
-        self._worker: Worker[Question, Inspection] = Worker("inspector", Inspector().answer)
+        self._worker: Worker[Request, Inspection] = Worker("inspector", Inspector().inspect)
         self._near = NearDrawing(context.server.scene, context.labels)
         self._probe = Probe(context.server.scene, context.labels)
         self._on = False
         self._drawn: tuple[Inspection, int] | None = None
-        self._asked = 0.0  # when [s]
-        self._question: Question | None = None
-        self._step: vf.Step | None = None  # of the tick that is shown
-        self._chosen: int | None = None  # None: whichever blocks, or is nearest
+        self._requested_at = 0.0  # monotonic time [s]
+        self._request: Request | None = None
+        self._step: vf.Step | None = None  # of the shown tick
+        self._chosen: int | None = None  # None: the main triangle of the inspection
         self._region = False
         self._comparing = False
         self._exploring = False
-        self._probing = False  # the probe is drawn; the view thread's own
-        self._resume = False  # once the exploring is over
+        self._probing = False  # the probe is drawn; used by the view thread only
+        self._resume = False  # the loop, after the exploring
         self._case: figures.Case | None = None
-        self._surface = self._scene.surface  # what the probe moves over
+        self._surface = self._scene.surface  # under the probe
         self._probe_at = np.zeros(3)  # replaced as a whole
         self._rule = RULES[0]
         with context.left.add_tab("Inspector"):
             self._controls(context.server.gui)
-
-    # What the page calls, from the view thread
 
     def set_scene(self, scene: Scene) -> None:
         self._scene = scene
@@ -89,8 +87,8 @@ class InspectorTab(Part):
         self._step = telemetry.step
         fixture = self._context.fixture
         fixture.inspected = self._on
-        fixture.withdrawn = self._on and self._exploring
-        self._context.proxy.withdrawn = fixture.withdrawn
+        fixture.suppressed = self._on and self._exploring
+        self._context.proxy.suppressed = fixture.suppressed
         if self._probing and not self._exploring:
             self._probe.hide()
         self._probing = self._exploring
@@ -100,16 +98,16 @@ class InspectorTab(Part):
                 self._near.hide()
             return
         now = time.monotonic()
-        # However much the sphere holds, the thread takes a quarter of a core at most.
-        if now >= self._asked + max(ASK, 4.0 * self._worker.took):
+        # The thread uses at most a quarter of a core.
+        if now >= self._requested_at + max(REQUEST_PERIOD, 4.0 * self._worker.duration):
             subject = self._subject(telemetry)
             if subject is not None:
-                question = Question(subject, self._region, self._comparing)
-                answer = self._worker.newest()
+                request = Request(subject, self._region, self._comparing)
+                answer = self._worker.latest()
                 settled = answer is None or answer.settled
-                if not (settled and question.same(self._question)):
-                    self._asked, self._question = now, question
-                    self._worker.ask(question)
+                if not (settled and request.same(self._request)):
+                    self._requested_at, self._request = now, request
+                    self._worker.request(request)
         inspection = self._newest()
         if inspection is None:
             return
@@ -123,7 +121,7 @@ class InspectorTab(Part):
 
     def read_out(self, shown: Moment) -> None:
         self._freeze.value = self._exploring
-        self._freeze.disabled = self._cases.disabled = not self._context.screen.live
+        self._freeze.disabled = self._cases.disabled = not self._context.source.live
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
         self._intro.visible = not self._on
@@ -133,20 +131,18 @@ class InspectorTab(Part):
                 page.content = ""
             return
         chosen = self._chosen_in(inspection)
-        self._report.content = words.triangle(inspection, chosen)
-        self._list.content = words.nearest(inspection, chosen)
-        self._solid.content = words.region(inspection) if self._region else ""
+        self._report.content = descriptions.triangle(inspection, chosen)
+        self._list.content = descriptions.nearest(inspection, chosen)
+        self._solid.content = descriptions.region(inspection) if self._region else ""
         self._rules.content = (
-            words.comparison(inspection.forecasts)
+            descriptions.comparison(inspection.forecasts)
             if inspection.forecasts is not None and self._comparing
             else ""
         )
 
-    # What there is to see
-
     def _newest(self) -> Inspection | None:
-        """The thread's newest answer, unless it is about something that is gone."""
-        inspection = self._worker.newest()
+        """The newest result, unless it is of another scene or mode."""
+        inspection = self._worker.latest()
         if inspection is None:
             return None
         subject = inspection.subject
@@ -157,8 +153,7 @@ class InspectorTab(Part):
         return inspection
 
     def _subject(self, telemetry: Telemetry) -> Subject | None:
-        # Of what is shown, which a replay puts in the session's place.
-        options, scene, step = self._context.screen.shown.options, self._scene, telemetry.step
+        options, scene, step = self._context.source.shown.options, self._scene, telemetry.step
         if step is None or telemetry.scene != scene.version:
             return None
         if not self._exploring:
@@ -178,10 +173,8 @@ class InspectorTab(Part):
     def _chosen_in(self, inspection: Inspection) -> int:
         chosen = self._chosen
         if chosen is None or chosen >= len(inspection.subject.surface.faces):
-            return inspection.foremost()
+            return inspection.main_triangle()
         return chosen
-
-    # What the operator does
 
     def _controls(self, gui: viser.GuiApi) -> None:
         self._inspect: Any = gui.add_checkbox(
@@ -229,8 +222,8 @@ class InspectorTab(Part):
         self._bind(region, lambda _client, value: self._set(region=bool(value)))
         self._bind(compare, lambda _client, value: self._set(comparing=bool(value)))
         self._bind(self._freeze, lambda client, value: self._explore(client, bool(value)))
-        self._bind(self._cases, lambda client, value: self._take_case(client, str(value)))
-        self._bind(self._rule_choice, lambda _client, value: self._take_rule(str(value)))
+        self._bind(self._cases, lambda client, value: self._set_case(client, str(value)))
+        self._bind(self._rule_choice, lambda _client, value: self._set_rule(str(value)))
 
         @steps.on_click
         async def _step(event: viser.GuiEvent[Any]) -> None:
@@ -241,12 +234,12 @@ class InspectorTab(Part):
             self._move_probe(np.array(event.target.wxyz), np.array(event.target.position))
 
     def _bind(self, control: Any, take: Callable[[viser.ClientHandle, Any], None]) -> None:
-        """Let the hand's worker act on what a client set."""
+        """Call `take` on the input worker when a client sets the control."""
 
         @control.on_update
         async def _updated(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: we set it ourselves
-                self._context.hand.submit(take, event.client, event.target.value)
+            if event.client is not None:  # None: set by this program
+                self._context.client_input.submit(take, event.client, event.target.value)
 
     def _set(self, region: bool | None = None, comparing: bool | None = None) -> None:
         self._region = self._region if region is None else region
@@ -265,7 +258,7 @@ class InspectorTab(Part):
         self._on = on
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
-        self._context.hand.submit(self._pick, event.ray_origin, event.ray_direction)
+        self._context.client_input.submit(self._pick, event.ray_origin, event.ray_direction)
 
     def _pick(self, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
         surface = self._surface if self._exploring else self._scene.surface
@@ -286,7 +279,7 @@ class InspectorTab(Part):
         row += 1 if where == ON else -1
         self._chosen = int(explanation.triangles[min(max(row, 0), len(explanation) - 1)])
 
-    def _take_rule(self, rule: str) -> None:
+    def _set_rule(self, rule: str) -> None:
         if rule in RULES:
             self._rule = rule
 
@@ -299,9 +292,9 @@ class InspectorTab(Part):
                 camera.move(client, camera.tool_view(self._step))
             return
         self._start_exploring(client)
-        self._begin_here(client)
+        self._explore_anatomy(client)
 
-    def _take_case(self, client: viser.ClientHandle, name: str) -> None:
+    def _set_case(self, client: viser.ClientHandle, name: str) -> None:
         if name != HERE and name not in figures.CASES:
             return
         if not self._exploring:
@@ -309,14 +302,14 @@ class InspectorTab(Part):
                 return
             self._start_exploring(client)
         if name == HERE:
-            self._begin_here(client)
+            self._explore_anatomy(client)
             return
         case = figures.CASES[name]
-        R, origin = beside(self._scene)
+        R, origin = case_pose(self._scene)
         self._surface, x = figures.place(case, R, origin)
         self._case, self._chosen = case, None
         self._probe.show_case(case, R, origin)
-        self._put(x)
+        self._place_probe(x)
         self._expect.content = (
             f"<div class='vf-expect' style='{_NOTE}'><b>{name}.</b> {html.escape(case.expect)} "
             "Drag the probe and see.</div>"
@@ -331,8 +324,8 @@ class InspectorTab(Part):
         self._inspect.value = True
         self._exploring = True
 
-    def _begin_here(self, client: viser.ClientHandle) -> None:
-        """Put the probe beside the tool, over the surface."""
+    def _explore_anatomy(self, client: viser.ClientHandle) -> None:
+        """Place the probe beside the tool, above the anatomy."""
         scene, step = self._scene, self._step
         tip = scene.T_base_start if step is None else step.tip
         radius = 5e-3 if step is None else step.radius
@@ -343,7 +336,7 @@ class InspectorTab(Part):
             "over the surface: over a face Condition 1 fires, over a ridge 2, in a valley 3.</div>"
         )
         x = beside_tool(scene.surface, np.array(tip.translation), radius)
-        self._put(x)
+        self._place_probe(x)
         away = camera.DIRECTION * 2.2 * radius / np.sin(camera.FIELD_OF_VIEW / 2.0)
         camera.move(client, camera.View(x + away, x))
 
@@ -352,9 +345,9 @@ class InspectorTab(Part):
         self._surface = self._scene.surface
         self._expect.content = ""
         if self._resume:
-            self._context.hand.submit(self._context.session.resume)
+            self._context.client_input.submit(self._context.session.resume)
 
-    def _put(self, x: FloatArray) -> None:
+    def _place_probe(self, x: FloatArray) -> None:
         self._probe_at = x
         self._probe.put(x)
 
@@ -363,12 +356,12 @@ class InspectorTab(Part):
             x = pose_from_view(wxyz, position).translation
         except ValueError:
             return
-        if self._exploring and float(np.linalg.norm(x)) < FARTHEST_PROBE:
+        if self._exploring and float(np.linalg.norm(x)) < MAX_PROBE_DISTANCE:
             self._probe_at = np.array(x)
 
 
 def beside_tool(surface: vf.Surface, p_tip: FloatArray, radius: float) -> FloatArray:
-    """A spot (3,) one and a half spheres beside the tool, a third of one off the surface."""
+    """A point (3,) about 1.5 radii beside p_tip (3,), a third of a radius above the surface."""
     side = np.cross([0.0, 0.0, 1.0], camera.DIRECTION)
     spot = p_tip + 1.5 * radius * side / np.linalg.norm(side)
     distance, triangle, point = surface.nearest(spot)

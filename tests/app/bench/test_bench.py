@@ -420,7 +420,7 @@ def test_a_drag_is_measured_in_a_window_as_people_have_one_and_says_in_which() -
         "loop on autopilot": loop,
     }
     console = Console(record=True, width=80, force_terminal=False)
-    latency.tell(result, console)
+    latency.show(result, console)
     said = console.export_text()
     for words in ("7.5 pictures/s", "1440 × 900 at 1", "597 × 675 pixels", "not smoothed"):
         assert words in said

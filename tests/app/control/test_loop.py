@@ -158,7 +158,7 @@ def test_a_loop_needs_orders() -> None:
 
 
 def test_who_waits_for_the_interpreter_leaves_cores_to_who_has_it() -> None:
-    assert 0.0 < loops._price_of_waiting() < 1e-2
+    assert 0.0 < loops._wait_cost() < 1e-2
     for cores in (1, 2, 4):
         for price in (0.0, 1e-6, 5e-6, 3e-5, 1e-3):
             interval = loops._switch_interval(price, cores)

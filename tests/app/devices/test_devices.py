@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +18,10 @@ from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+from tests.support.headless import moved
 
 OPTIONS = Options(mesh="cube", robot="point")
 STATS = LoopStats()
-Moved = Callable[..., pin.SE3]
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +50,7 @@ class Lagging:
         self.q = 0.5 * (self.q + q)
 
 
-def test_each_tick_starts_from_the_measured_joints(
-    plant: Plant, scene: Scene, moved: Moved
-) -> None:
+def test_each_tick_starts_from_the_measured_joints(plant: Plant, scene: Scene) -> None:
     goal = moved(scene.T_base_start, dx=0.004, dz=0.003)
     arm = Lagging(plant.q0)
     orders = Orders(plant, Command(goal, 1))
@@ -71,7 +68,7 @@ def test_each_tick_starts_from_the_measured_joints(
     np.testing.assert_allclose(plant.arm.tip(arm.q).translation, goal.translation, atol=1e-6)
 
 
-def test_the_simulated_arm_is_where_it_was_sent(plant: Plant, scene: Scene, moved: Moved) -> None:
+def test_the_simulated_arm_is_where_it_was_sent(plant: Plant, scene: Scene) -> None:
     goal = moved(scene.T_base_start, dx=0.004)
     orders = Orders(plant, Command(goal, 1))
     arm = SimulatedArm(plant.q0)
@@ -83,7 +80,7 @@ def test_the_simulated_arm_is_where_it_was_sent(plant: Plant, scene: Scene, move
 
 
 def test_the_tool_holds_while_the_arm_is_silent_and_goes_on_from_where_it_then_is(
-    plant: Plant, scene: Scene, moved: Moved
+    plant: Plant, scene: Scene
 ) -> None:
     goal = moved(scene.T_base_start, dx=0.05)
     arm = Lagging(plant.q0)
@@ -113,7 +110,7 @@ def test_joints_of_another_arm_are_no_measurement(plant: Plant, scene: Scene) ->
     assert arm.sent == []
 
 
-def test_a_reset_sends_the_arm_to_the_start(plant: Plant, scene: Scene, moved: Moved) -> None:
+def test_a_reset_sends_the_arm_to_the_start(plant: Plant, scene: Scene) -> None:
     orders = Orders(plant, Command(moved(scene.T_base_start, dx=0.05), 1))
     arm = SimulatedArm(plant.q0)
     engine = Engine(orders, arm=arm)
@@ -124,7 +121,7 @@ def test_a_reset_sends_the_arm_to_the_start(plant: Plant, scene: Scene, moved: M
     np.testing.assert_array_equal(arm.measured(), plant.q0)
 
 
-def test_the_master_says_what_was_done_with_it(moved: Moved) -> None:
+def test_the_master_says_what_was_done_with_it() -> None:
     start = pin.SE3.Identity()
     master = PageMaster(start, scale=0.5, locked=False)
     device: protocols.Master = master
@@ -154,7 +151,7 @@ def test_the_master_says_what_was_done_with_it(moved: Moved) -> None:
     assert master.command(5).target is None
 
 
-def test_what_is_refused_moves_nothing(moved: Moved) -> None:
+def test_what_is_refused_moves_nothing() -> None:
     start = pin.SE3.Identity()
     master = PageMaster(start, scale=2.0, locked=False)
     master.move(moved(start, dx=0.1), held=True)

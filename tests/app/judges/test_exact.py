@@ -1,6 +1,4 @@
-"""The campaign's judges in rational arithmetic against those of vf's tests, which share no code
-with them, and against scenes one can see.
-"""
+"""Judges in rational arithmetic, compared with a second method that shares no code with them."""
 
 from __future__ import annotations
 
@@ -10,8 +8,9 @@ import numpy as np
 import pytest
 
 import vf
-from app.judges.exact import distance2, meets, uncovered
+from app.judges.exact import meets
 from tests.support import exact, naive
+from tests.support.clipped import distance2, uncovered
 
 FLOOR = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
 

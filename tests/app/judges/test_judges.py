@@ -12,7 +12,7 @@ import pytest
 import meshes
 import robots
 import vf
-from app.commands import verify
+from app.commands import call
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats
 from app.control.watch import Watch
@@ -75,11 +75,11 @@ def test_the_campaign_notices_a_box_that_lost_its_triangles(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ["--mesh", "cube", "--damage", "none", "--steps", "3000", "--queries", "120"]
-    honest = verify.main(words)
+    honest = call("verify", words)
     assert honest == 0
     capsys.readouterr()
     monkeypatch.setattr(pdtree, "build", partly(broken, len(meshes.arrays("cube")[1])))
-    assert verify.main(words) == 1
+    assert call("verify", words) == 1
     out = capsys.readouterr().out
     assert "cube, none: query " in out
     assert "cube, none: one mesh, tick " in out
@@ -180,7 +180,7 @@ def test_the_comparison_of_rules_sees_what_the_tree_lost() -> None:
     x[2] = surface.vertices[:, 2].max() + 5e-6
     q = scene.arm.inverse(pin.SE3(tip.rotation, x), start=scene.start)
     goal = pin.SE3(tip.rotation, x - np.array([0.0, 0.0, 0.01]))
-    trials = Comparison(scene).trials(surface, x, 5e-4, options, Pose(q, goal))
-    certified = next(trial for trial in trials if trial.rule == "certified")
+    found = Comparison(scene).forecasts(surface, x, 5e-4, options, Pose(q, goal))
+    certified = next(one for one in found if one.rule == "certified")
     assert certified.leaking > 0.0
     assert certified.crosses

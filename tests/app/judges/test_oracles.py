@@ -199,7 +199,7 @@ def test_a_ball_scrapes_what_it_comes_nearer_than_its_radius():
         b = a + rng.normal(size=3) * 5e-4
         tip_radius = 10.0 ** rng.uniform(-4, -2.7)
         gap = 0.0 if meets(a, b, triangle) else exact_gap(a, b, triangle)
-        if abs(gap - tip_radius) < 2 * oracles.SCRATCH:
+        if abs(gap - tip_radius) < 2 * oracles.OVERLAP_TOLERANCE:
             continue
         truth = gap < tip_radius
         assert (oracles.scrapes(one(triangle), a, b, tip_radius) > 0) == truth

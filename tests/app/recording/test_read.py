@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -42,7 +43,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         del members["orders/clutch.npy"]
 
-    @case("surplus", "do not belong")
+    @case("surplus", "does not have")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         members["../../evil"] = b"x"
 
@@ -74,7 +75,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
         target[1] = np.inf
         members["orders/target.npy"] = npy(target)
 
-    @case("nan header", "the header is damaged: JSON is malformed")
+    @case("nan header", "the header is damaged: NaN is no number")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
         header["state"]["q"][0] = math.nan
 
@@ -152,7 +153,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
         ("times", [1.0, 2.0], "do not rise from 0"),
         ("times", "soon", "Expected `array`, got `str` - at `\\$.plants.*times`"),
         ("points", [[0.0] * 3], "not 2 rows"),
-        ("points", [[0.0] * 2] * 2, "Expected `array` of length 3 - at `\\$.plants.*points"),
+        ("points", [[0.0] * 2] * 2, "Expected `array` of length 3, got 2 - at `\\$.plants.*points"),
         ("times", [0.0, 1e300], "goes on for 1e.300 s, at most 600 s"),
         ("points", [[0.0] * 3, [0.0, 0.0, 1e300]], "is more than 4 m from the base"),
         ("rotation", [[2.0, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation of a course"),
@@ -241,9 +242,9 @@ HOSTILE_BLOCKS: dict[str, tuple[Callable[[list], list], str]] = {
         lambda b: [*b[:2], (b"PART", 0, part({"orders": -1}))],
         "Expected `int` >= 0 - at `\\$.orders`",
     ),
-    "two heads": (lambda b: [b[0], *b], "HEAD is where none belongs"),
-    "no head": (lambda b: b[1:], "PART is where none belongs"),
-    "two ends": (lambda b: [*b, b[-1]], "LAST is where none belongs"),
+    "two heads": (lambda b: [b[0], *b], "HEAD is out of place"),
+    "no head": (lambda b: b[1:], "PART is out of place"),
+    "two ends": (lambda b: [*b, b[-1]], "LAST is out of place"),
     "another number of rows": (lambda b: [*b[:-1], (b"LAST", 5, b[-1][2])], "rows, not 5"),
     "a note that is none": (
         lambda b: [*b[:-1], (b"LAST", b[-1][1], b'{"note": ["x"]}')],
@@ -252,6 +253,10 @@ HOSTILE_BLOCKS: dict[str, tuple[Callable[[list], list], str]] = {
     "a note of two lines": (
         lambda b: [*b[:-1], (b"LAST", b[-1][1], b'{"note": "a\\nb"}')],
         "note in the header is no text",
+    ),
+    "a joint without bounds": (
+        lambda b: [(*b[0][:2], re.sub(rb'"q": ?\[[^],]*', b'"q":[1e999', b[0][2])), *b[1:]],
+        "Expected `float` <= 1.797.* - at `\\$.state.q",
     ),
     "no note": (lambda b: [*b[:-1], (b"LAST", b[-1][1], b"null")], "got `null`"),
 }

@@ -13,13 +13,13 @@ import robots
 import vf
 from app.control.messages import Command, Telemetry
 from app.judges import boxes, oracles
-from app.recording.rerun import run_headless
 from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
 from tests.support.brute import Oracle
 from tests.support.everyday import everyday
 from tests.support.headless import moved, wait_until
+from tests.support.runs import run_headless
 
 
 def joints(run: list[Telemetry]) -> bytes:

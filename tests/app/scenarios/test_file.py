@@ -463,14 +463,14 @@ def test_a_file_that_is_not_there_or_too_long_is_named(tmp_path: Path) -> None:
 
 
 def test_a_scenario_by_its_name_and_options_that_win_over_it() -> None:
-    options, scenario = cli._wanted(["--scenario", "saddle", "--radius", "2mm", "--port", "0"])
+    options, scenario = cli._parsed(["--scenario", "saddle", "--radius", "2mm", "--port", "0"])
     assert scenario == PRESETS["saddle"]
     assert (options.mesh, options.rule, options.radius) == ("saddle-slab", "paper", 2e-3)
     assert options.port == 0
     # Also back to what is the default without a scenario.
-    options, _ = cli._wanted(["--scenario", "saddle", "--rule", "certified", "--radius", "5mm"])
+    options, _ = cli._parsed(["--scenario", "saddle", "--rule", "certified", "--radius", "5mm"])
     assert (options.rule, options.radius) == ("certified", 5e-3)
-    assert cli._wanted(["--scenario", "saddle", "--mesh", "saddle-slab"])[1] is not None
+    assert cli._parsed(["--scenario", "saddle", "--mesh", "saddle-slab"])[1] is not None
 
 
 @pytest.mark.parametrize(
@@ -557,8 +557,8 @@ def test_a_proxy_put_down_by_hand_is_saved_and_found_again_elsewhere() -> None:
         stage(saved, session)
         wait_until(lambda: session.latest().paused)
         assert session.options.rule == "off"
-        wait_until(lambda: session._orders.command.target is not None)
-        again = session._orders.command.target
+        wait_until(lambda: session._desk.orders.command.target is not None)
+        again = session._desk.orders.command.target
         np.testing.assert_allclose(again.homogeneous, before.target.homogeneous, atol=1e-9)
         np.testing.assert_allclose(session.handle.homogeneous, again.homogeneous, atol=1e-9)
 

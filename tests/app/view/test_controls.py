@@ -1,4 +1,4 @@
-"""Keys, Escape, number fields, lenses, the section and the page's script, without a browser."""
+"""Keys, the Escape key, number fields, lenses, the section and the script of the page."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from app.scene.outside import shows_fronts_only
 from app.session import Session
 from app.settings import Options
 from app.view import Page, camera, fields, section
-from app.view.escape import Escape
+from app.view.escape import EscapeKey
 from app.view.help import Help
-from app.view.keys import STEPS, Keys, seen_from
+from app.view.keys import STEPS, Keys, viewer_axes
 from app.view.script import adding, script
 from app.view.units import VIEW_SCALE
 from app.view.views import Views
@@ -30,7 +30,7 @@ from tests.support.headless import wait_until
 
 
 class Handle:
-    """Stands for any control: remembers what listens to it, and lets tests act as a client."""
+    """A stand-in for any control: stores its callbacks, and calls them as for a client."""
 
     def __init__(self, **properties: Any) -> None:
         self.__dict__.update(properties)
@@ -54,7 +54,7 @@ class Handle:
 
 
 class Gui:
-    """Stands for viser's panel."""
+    """A stand-in for viser's panel."""
 
     def __init__(self) -> None:
         self.made: list[Handle] = []
@@ -77,8 +77,8 @@ class Gui:
         return found
 
 
-class Hand:
-    """Does at once what it is given."""
+class ClientInput:
+    """Runs orders at once."""
 
     owner = None
 
@@ -90,15 +90,15 @@ class Hand:
 
 
 def client(number: int = 0) -> Any:
-    """Stands for a browser whose camera looks along +y, a little downwards."""
+    """A client whose camera looks along +y, slightly downwards."""
     eye = SimpleNamespace(
         wxyz=np.array([0.5, -0.8, 0.0, 0.0]) / np.hypot(0.5, 0.8),
         position=np.array([0.0, -10.0, 5.0]),
         look_at=np.zeros(3),
         up_direction=np.array([0.0, 0.0, 1.0]),
         fov=camera.FIELD_OF_VIEW,
-        near=camera.NEAREST,
-        far=camera.FARTHEST_DRAWN,
+        near=camera.NEAR_PLANE,
+        far=camera.FAR_PLANE,
     )
     return SimpleNamespace(client_id=number, camera=eye, atomic=lambda: Handle(), gui=Gui())
 
@@ -111,34 +111,34 @@ def session() -> Iterator[Session]:
 
 @pytest.fixture
 def panel(session: Session) -> SimpleNamespace:
-    """All that has a key, on a panel without a browser; what was asked of the picture, and told."""
-    gui, hand = Gui(), Hand()
+    """All commands without a browser; the camera orders and the notifications."""
+    gui, client_input = Gui(), ClientInput()
     looked: list[str] = []
     told: list[str] = []
-    tell = lambda _client, text: told.append(text)  # noqa: E731
+    notify = lambda _client, text: told.append(text)  # noqa: E731
     server: Any = SimpleNamespace(gui=gui, on_client_disconnect=lambda function: function)
-    escape = Escape(server, hand)  # type: ignore[arg-type]
-    Help(server, hand, escape, 0.0)  # type: ignore[arg-type]
+    escape = EscapeKey(server, client_input)  # type: ignore[arg-type]
+    Help(server, client_input, escape, 0.0)  # type: ignore[arg-type]
     views = Views(
         server,
-        hand,  # type: ignore[arg-type]
+        client_input,  # type: ignore[arg-type]
         lambda _client, name: looked.append(name),
         lambda _client: looked.append("section"),
         {},
     )
-    Keys(server, session, hand, tell, views.commands())  # type: ignore[arg-type]
+    Keys(server, session, client_input, notify, views.commands())  # type: ignore[arg-type]
     return SimpleNamespace(gui=gui, looked=looked, told=told, escape=escape)
 
 
-def test_every_key_does_one_thing_and_none_flies_the_camera(panel: Any) -> None:
+def test_every_key_has_one_command_and_none_of_visers(panel: Any) -> None:
     commands = panel.gui.commands()
     keys = {key for key, _ in commands}
     flying = {*"WASDQE", "arrowup", "arrowdown", "arrowleft", "arrowright"}
     assert not keys & flying
-    # Everything the issue wants: nudges, pause, steps, reset, rules, views, the lens, a section.
+    # Nudges, pause, steps, reset, rules, views, lens, section.
     assert keys >= {*"JLIKUOPNRTVFXZBH1234567890", "escape"}
     assert {held for key, held in commands if key == "N"} == {None, "shift", "alt"}
-    assert all(command.label for command in commands.values()), "the palette names each"
+    assert all(command.label for command in commands.values()), "each has a label"
     assert len({command.label for command in commands.values()}) == len(commands)
 
 
@@ -163,7 +163,7 @@ def test_keys_pause_step_choose_rules_and_reset(panel: Any, session: Session) ->
     before_nudge = session.handle.translation.copy()
     press("J", "shift")
     moved = session.handle.translation - before_nudge
-    np.testing.assert_allclose(moved, -1e-3 * seen_from(me.camera.wxyz)[:, 0], atol=1e-12)
+    np.testing.assert_allclose(moved, -1e-3 * viewer_axes(me.camera.wxyz)[:, 0], atol=1e-12)
     press("R")
     np.testing.assert_allclose(
         session.handle.translation, session.scene.T_base_start.translation, atol=1e-12
@@ -178,7 +178,7 @@ def test_keys_pause_step_choose_rules_and_reset(panel: Any, session: Session) ->
     assert panel.told == []
 
 
-def test_dark_is_each_clients_own(panel: Any) -> None:
+def test_the_dark_theme_is_per_client(panel: Any) -> None:
     one, other = client(0), client(1)
     toggle = panel.gui.commands()["B", None]
     for _ in range(2):
@@ -188,10 +188,10 @@ def test_dark_is_each_clients_own(panel: Any) -> None:
     assert [theme["dark_mode"] for theme in other.gui.themes] == [True]
 
 
-def test_escape_closes_the_newest_dialog_of_its_client_then_leaves_what_all_see(panel: Any) -> None:
+def test_escape_closes_the_clients_newest_dialog_then_calls_the_fallbacks(panel: Any) -> None:
     escape, closed = panel.escape, []
     replay = [True]
-    escape.offer(lambda: bool(replay) and replay.pop())
+    escape.add_fallback(lambda: bool(replay) and replay.pop())
     first, second = lambda: closed.append("first"), lambda: closed.append("second")
     escape.opened(0, first)
     escape.opened(0, second)
@@ -207,7 +207,7 @@ def test_escape_closes_the_newest_dialog_of_its_client_then_leaves_what_all_see(
     assert closed == ["second"]
 
 
-def test_escape_closes_the_help_that_a_key_opened(panel: Any) -> None:
+def test_escape_closes_the_help(panel: Any) -> None:
     me = client()
     shut: list[bool] = []
     me.gui.add_modal = lambda _title: Handle(close=lambda: shut.append(True))
@@ -220,7 +220,7 @@ def test_escape_closes_the_help_that_a_key_opened(panel: Any) -> None:
 
 
 class Typing:
-    """A number field that is typed into, its clock stopped."""
+    """A number field with a stand-in for its timer."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, take: Callable[[float], object]) -> None:
         self.timers: list[Any] = []
@@ -245,7 +245,7 @@ class Typing:
         self.field = fields.NumberField(
             self.control,  # type: ignore[arg-type]
             (0.05, 20.0),
-            Hand(),  # type: ignore[arg-type]
+            ClientInput(),  # type: ignore[arg-type]
             lambda _client, text: self.told.append(text),
             takes,
             lambda: self.value,
@@ -261,14 +261,14 @@ class Typing:
             timer.end()
 
 
-def test_a_number_in_range_is_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_number_in_range_is_set_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     typing = Typing(monkeypatch, lambda value: None)
     typing.type(7.5)
     assert typing.value == 7.5
     assert typing.told == []
 
 
-def test_the_beginning_of_a_number_is_not_put_right(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_number_is_not_clamped_while_it_is_typed(monkeypatch: pytest.MonkeyPatch) -> None:
     typing = Typing(monkeypatch, lambda value: None)
     typing.type(0.0)
     assert typing.control.value == 0.0, "the field is left alone while somebody types"
@@ -280,7 +280,7 @@ def test_the_beginning_of_a_number_is_not_put_right(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(("typed", "becomes"), [(900.0, 20.0), (0.0, 0.05), (-3.0, 0.05)])
-def test_a_clamped_number_is_shown_and_said(
+def test_a_clamped_number_is_shown_and_notified(
     monkeypatch: pytest.MonkeyPatch, typed: float, becomes: float
 ) -> None:
     for browser_clamps in (False, True):
@@ -296,7 +296,7 @@ def test_a_clamped_number_is_shown_and_said(
             assert word in typing.told[0]
 
 
-def test_a_refused_number_is_put_back_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_number_is_reset_and_notified(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(value: float) -> None:
         raise Refused(f"a corridor of {value:g} mm is wider than the path's bends allow")
 
@@ -306,7 +306,7 @@ def test_a_refused_number_is_put_back_and_said(monkeypatch: pytest.MonkeyPatch) 
     assert "12 mm is wider" in typing.told[0]
 
 
-def test_another_lens_shows_as_much_of_what_is_looked_at() -> None:
+def test_another_lens_keeps_the_size_of_objects_at_the_centre() -> None:
     me = client()
     eye = me.camera
 
@@ -325,21 +325,21 @@ def test_another_lens_shows_as_much_of_what_is_looked_at() -> None:
     assert distance < eye.far
     camera.set_lens(me, camera.FIELD_OF_VIEW)
     np.testing.assert_allclose(eye.position, [0.0, -10.0, 5.0], atol=1e-9)
-    assert (eye.near, eye.far) == (camera.NEAREST, camera.FARTHEST_DRAWN)
+    assert (eye.near, eye.far) == (camera.NEAR_PLANE, camera.FAR_PLANE)
 
 
-def test_the_depth_goes_along_with_a_parallel_camera() -> None:
+def test_the_clipping_planes_follow_a_parallel_camera() -> None:
     me = client()
     camera.set_lens(me, camera.PARALLEL)
     for zoom in (0.1, 0.01, 3.0):
         me.camera.position = me.camera.look_at + zoom * (me.camera.position - me.camera.look_at)
-        camera.keep_depth(me)
+        camera.update_clipping(me)
         distance = np.linalg.norm(me.camera.position - me.camera.look_at)
         assert 0.3 * distance < me.camera.near < 0.7 * distance
         assert me.camera.far > distance
 
 
-def test_views_go_along_the_axes_whatever_the_lens(session: Session) -> None:
+def test_axis_views_are_along_the_axes_with_any_lens(session: Session) -> None:
     tip = np.array(session.scene.T_base_start.translation)
     for lens in (camera.FIELD_OF_VIEW, camera.PARALLEL):
         for k, name in enumerate(("Side", "Front", "Top")):
@@ -359,7 +359,7 @@ def anatomy() -> scenes.Scene:
     return scenes.build(Options(mesh="skull-coarse", robot="point"), 1, warm=False)
 
 
-def test_a_section_keeps_just_what_is_behind_the_plane(anatomy: scenes.Scene) -> None:
+def test_a_section_keeps_exactly_the_part_behind_the_plane(anatomy: scenes.Scene) -> None:
     rng = np.random.default_rng(3)
     shown = anatomy.vertices_shown[anatomy.faces_shown]
     for _ in range(6):
@@ -376,7 +376,7 @@ def test_a_section_keeps_just_what_is_behind_the_plane(anatomy: scenes.Scene) ->
         assert sum(areas) == pytest.approx(trimesh.triangles.area(shown).sum(), rel=1e-9)
 
 
-def test_the_section_follows_the_tip_and_goes_with_its_client(
+def test_the_section_follows_the_tip_and_ends_with_its_client(
     anatomy: scenes.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(section, "PERIOD", 0.0)
@@ -397,7 +397,7 @@ def test_the_section_follows_the_tip_and_goes_with_its_client(
         return bool(farthest < 1e-9)
 
     update(tip, me)
-    assert drawn == [], "nothing is cut unasked"
+    assert drawn == [], "there is no section before it is switched on"
     cutting.toggle(me)
     low = tip - np.array([0.0, 0.0, 0.03])
     wait_until(lambda: drawn_behind(low))
@@ -426,7 +426,7 @@ def joined(*parts: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.util.concatenate(parts)
 
 
-def test_backs_are_left_out_only_where_nobody_outside_sees_one() -> None:
+def test_back_faces_are_culled_only_where_none_is_visible_from_outside() -> None:
     flipped, opened = ball(), ball()
     faces = flipped.faces.copy()
     faces[7] = faces[7, ::-1]
@@ -448,7 +448,7 @@ def test_backs_are_left_out_only_where_nobody_outside_sees_one() -> None:
         shown = shows_fronts_only(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64))
         assert shown == expected, name
         if shown:
-            # An oracle: whatever a ray from outside meets first faces it.
+            # Oracle: the first face that a ray from outside meets is a front face.
             rng = np.random.default_rng(0)
             eyes = rng.normal(size=(200, 3))
             eyes = mesh.bounds.mean(axis=0) + 9.0 * eyes / np.linalg.norm(eyes, axis=1)[:, None]
@@ -461,7 +461,7 @@ def test_backs_are_left_out_only_where_nobody_outside_sees_one() -> None:
     assert not shows_fronts_only(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
 
 
-def test_the_page_is_served_with_its_script_before_everything_else(session: Session) -> None:
+def test_the_page_is_served_with_its_script_first(session: Session) -> None:
     page = Page(session, "127.0.0.1", 0)
     try:
         for coding in ("gzip", "identity"):

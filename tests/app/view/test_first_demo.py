@@ -1,4 +1,4 @@
-"""The first demo: nothing to slip through, nothing hidden, everything in its one colour."""
+"""The first view: closed anatomy, visible tip, and one colour for each thing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import trimesh
 import viser
 
 import vf
-from app.recording.rerun import run_headless
 from app.scenarios import presets
 from app.scenarios.staging import course
 from app.scene import scene as scenes
@@ -20,6 +19,7 @@ from app.scene.scene import Scene
 from app.settings import Options
 from app.view import anatomy, camera, palette, readouts, signals
 from app.view.proxy import GIZMO_SIZE
+from tests.support.runs import run_headless
 
 HEIGHT = 900  # of the picture on a usual screen [px]
 
@@ -41,7 +41,7 @@ def heights(scene: Scene, xy: np.ndarray) -> np.ndarray:
     return found
 
 
-def test_the_page_opens_on_anatomy_without_an_opening_on_top(scene: Scene) -> None:
+def test_the_first_anatomy_has_no_opening_on_top(scene: Scene) -> None:
     side = np.arange(-0.03, 0.031, 0.0015)
     x, y = np.meshgrid(side, side)
     around = scene.T_base_start.translation[:2] + np.column_stack([x.ravel(), y.ravel()])
@@ -51,7 +51,7 @@ def test_the_page_opens_on_anatomy_without_an_opening_on_top(scene: Scene) -> No
 
 
 @pytest.mark.parametrize("mesh", ["skull-closed", "skull"])
-def test_the_autopilot_slips_through_no_opening(mesh: str) -> None:
+def test_the_autopilot_passes_through_no_opening(mesh: str) -> None:
     options = Options(mesh=mesh, rate=200.0)
     scene = scenes.build(options, 1)
     ticks = round(scene.autopilot.duration * 200)
@@ -64,7 +64,7 @@ def test_the_autopilot_slips_through_no_opening(mesh: str) -> None:
 
 
 def pixels(scene: Scene, points: np.ndarray) -> np.ndarray:
-    """Where points (n, 3) are in the first view (n, 2) [px] from its middle, right and up."""
+    """Points (n, 3) in the first view (n, 2) [px], from its centre to the right and up."""
     view = camera.site_view(scene, scene.T_base_start.translation)
     forward = view.look_at - view.eye
     forward /= np.linalg.norm(forward)
@@ -99,7 +99,7 @@ def test_a_scenario_stays_in_the_picture_or_its_camera_follows(name: str) -> Non
     assert np.abs(pixels(scene, way.points)).max(axis=0) == pytest.approx([200, 225], abs=225)
 
 
-def test_what_hides_the_tip_is_translucent_until_it_hides_it_no_longer(
+def test_the_anatomy_is_translucent_while_it_hides_the_tip(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = 100.0
@@ -113,19 +113,19 @@ def test_what_hides_the_tip_is_translucent_until_it_hides_it_no_longer(
         tip = scene.T_base_start.translation
         low = np.array([*tip[:2], scene.surface.vertices[:, 2].min()])
         above, below = (100.0 * (p + np.array([0.0, 0.0, h])) for p, h in ((tip, 0.1), (low, -0.1)))
-        layer.look_through([above], tip)
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity is None
-        layer.look_through([above, below], tip)
+        layer.keep_tip_visible([above, below], tip)
         assert mesh.opacity == anatomy.TRANSLUCENT
-        layer.look_through([above], tip)
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity == anatomy.TRANSLUCENT, "no flicker"
-        clock += 2.0 * anatomy.LINGER
-        layer.look_through([above], tip)
+        clock += 2.0 * anatomy.HOLD
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity is None
-        layer.look_through([np.full(3, np.nan)], tip)
+        layer.keep_tip_visible([np.full(3, np.nan)], tip)
         assert mesh.opacity is None
         layer.set_translucent(True)
-        layer.look_through([above], tip)
+        layer.keep_tip_visible([above], tip)
         assert mesh.opacity == anatomy.TRANSLUCENT
     finally:
         server.stop()
@@ -159,15 +159,15 @@ def test_the_force_has_one_name_and_one_colour() -> None:
     assert palette.FORCE not in others
 
 
-def test_pieces_with_colours_of_their_own_show_those_of_the_legend() -> None:
-    """viser takes intensities for them; what a screen shows of an intensity is its root."""
+def test_linear_colours_are_displayed_as_those_of_the_legend() -> None:
+    """A display applies the inverse of the gamma."""
     legend = np.array([look.color for look in palette.LOOKS.values()], dtype=np.uint8)
     shown = 255.0 * (palette.linear(legend) / 255.0) ** (1.0 / 2.2)
     assert np.abs(shown - legend).max() < 8.0
 
 
 def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
-    from app.view.fixture import SLOTS, FixtureDrawing
+    from app.view.fixture import MAX_PLANES, FixtureDrawing
     from app.view.labels import Labels
 
     p_tip = np.array(scene.T_base_start.translation) - np.array([0.0, 0.0, 0.014])
@@ -183,7 +183,7 @@ def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
         expected = palette.linear(np.repeat(looks, 3, axis=0))
         np.testing.assert_array_equal(edges.colors[:count, 0], expected)
         np.testing.assert_array_equal(edges.colors[:count, 1], expected)
-        assert len(edges.points) == 3 * SLOTS
+        assert len(edges.points) == 3 * MAX_PLANES
         lengths = np.linalg.norm(edges.points[:, 1] - edges.points[:, 0], axis=1)
         assert (lengths[:count] > 0).all()
         assert (lengths[count:] == 0).all()

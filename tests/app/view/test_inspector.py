@@ -1,4 +1,4 @@
-"""The inspector without a browser: its cases, its solid, its forecasts, its words, its ray."""
+"""The inspector: cases, region, comparison, texts, picking."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ import meshes
 import vf
 from app.scene import scene as scenes
 from app.settings import Options
-from app.view.inspector import figures, words
+from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Comparison, Pose, allowed, sample
-from app.view.inspector.inspection import Inspector, Question, Subject
+from app.view.inspector.inspection import Inspector, Request, Subject
 from app.view.inspector.picking import pick
 from app.view.inspector.region import allowed_region
 from app.view.worker import Worker
 from tests.support.headless import wait_until
 
 RADIUS = 5e-3
-# Which condition each of the paper's drawings shows for T1 and T2 (its Figures 4 and 5).
+# Condition of T1 and T2 in each drawing of the paper's Figures 4 and 5.
 SHOWN = {
     "Fig. 4 (a)": ("inactive", "Condition 1"),
     "Fig. 4 (b)": ("inactive", "Condition 1"),
@@ -61,15 +61,16 @@ def pressed(scene: scenes.Scene) -> Subject:
 
 
 @pytest.mark.parametrize("name", list(figures.CASES))
-def test_each_case_shows_what_the_paper_draws(name):
+def test_each_case_has_the_conditions_of_the_paper(name):
     case = figures.CASES[name]
     turn = trimesh.transformations.random_rotation_matrix(np.full(3, 0.3))[:3, :3]
     surface, x = figures.place(case, turn, np.array([0.4, 0.4, -0.1]))
     explanation = vf.explain(surface, x, figures.RADIUS, standoff=20e-6)
     found = tuple(
-        words.palette.TRIANGLE_STATES[words.state_of(explanation.of(t))].name for t in (0, 1)
+        descriptions.palette.TRIANGLE_STATES[descriptions.state_of(explanation.of(t))].name
+        for t in (0, 1)
     )
-    # The certified rule guards what the paper's leaves undecided, from either side.
+    # The certified rule may have a plane where the paper's has none.
     expected = SHOWN[name]
     plain = tuple("inactive" if f == "certified only" else f for f in found)
     assert plain == expected
@@ -78,26 +79,26 @@ def test_each_case_shows_what_the_paper_draws(name):
         assert (condition in case.expect) == (condition in expected)
 
 
-def test_an_inspection_tells_who_blocks_and_how_hard(pressed):
-    inspection = Inspector().answer(Question(pressed, region=True, comparison=True))
+def test_an_inspection_names_the_blocking_triangle_and_its_push(pressed):
+    inspection = Inspector().inspect(Request(pressed, region=True, comparison=True))
     step = pressed.step
-    blocking = inspection.foremost()
+    blocking = inspection.main_triangle()
     assert blocking == step.planes.triangles[np.argmax(step.multipliers)]
-    text = words.triangle(inspection, blocking)
+    text = descriptions.triangle(inspection, blocking)
     push = step.multipliers[step.planes.triangles == blocking].sum()
     assert f"pushed back by {push * 1e3:.3f} mm" in text
     assert "It blocks the way" in text
     idle = next(t for t in inspection.explanation.triangles if t not in step.planes.triangles)
-    assert "No plane in force" in words.triangle(inspection, int(idle))
-    assert words.nearest(inspection, blocking).count("<tr") == words.NEAREST
-    # A corner of the region is nowhere behind a plane nor out of the sphere.
+    assert "No plane in force" in descriptions.triangle(inspection, int(idle))
+    assert descriptions.nearest(inspection, blocking).count("<tr") == descriptions.NEAREST
+    # All corners of the region are on the allowed side of all planes and in the sphere.
     corners = inspection.region.vertices
     assert (corners @ step.planes.normals.T >= step.planes.offsets - 1e-9).all()
     assert (np.linalg.norm(corners - pressed.x, axis=1) <= RADIUS * (1 + 1e-9)).all()
 
 
-def test_every_verdict_has_plain_words(pressed):
-    explanation = Inspector().answer(Question(pressed, False, False)).explanation
+def test_every_verdict_has_a_text(pressed):
+    explanation = Inspector().inspect(Request(pressed, False, False)).explanation
     reports = {report.verdict: report for report in explanation}
     reports[vf.Verdict.OUTSIDE] = explanation.of(int(np.argmax(np.linalg.norm(
         pressed.surface.vertices[pressed.surface.faces[:, 0]] - pressed.x, axis=1))))  # fmt: skip
@@ -105,14 +106,14 @@ def test_every_verdict_has_plain_words(pressed):
     for verdict in vf.Verdict:
         report = reports.get(verdict) or next(iter(reports.values()))
         report = vf.TriangleReport(**{**vars(report), "verdict": verdict})
-        text = words.reason(report, pressed)
+        text = descriptions.reason(report, pressed)
         met = re.match(r"Condition (\d)", text)
         number = {"FACE": 1, "RIDGE": 2, "SHARED": 2, "VALLEY": 3}.get(verdict.name)
         assert (int(met[1]) if met else None) == number
 
 
-def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pressed):
-    close = Inspector().answer(Question(pressed, False, comparison=True)).forecasts
+def test_off_crosses_and_certified_neither_leaks_nor_crosses(pressed):
+    close = Inspector().inspect(Request(pressed, False, comparison=True)).forecasts
     forecasts = {forecast.rule: forecast for forecast in close.of}
     assert set(forecasts) == set(vf.RULES)
     assert forecasts["certified"].leaking == 0.0
@@ -125,11 +126,11 @@ def test_trials_show_that_off_crosses_and_certified_neither_leaks_nor_crosses(pr
     # Every face in the sphere blocks more than the planes that are needed.
     assert forecasts["all"].blocked > forecasts["certified"].blocked
     assert forecasts["certified"].p_tip == pytest.approx(pressed.x, abs=1e-4)
-    html = words.comparison(close)
+    html = descriptions.comparison(close)
     assert "Would go through the surface: off." in html
 
 
-def test_a_leak_is_seen_where_one_is_made(pressed):
+def test_a_removed_plane_is_seen_as_a_leak(pressed):
     planes = pressed.step.planes
     contacts = pressed.surface.within(pressed.x, RADIUS)
     corners = pressed.surface.vertices[pressed.surface.faces[contacts.triangles]] - pressed.x
@@ -140,7 +141,7 @@ def test_a_leak_is_seen_where_one_is_made(pressed):
     assert allowed(lost, pressed.x, points, 0.0).any()
 
 
-def test_samples_are_on_the_surface_in_the_ball_and_even():
+def test_samples_are_uniform_over_the_surface_in_the_ball():
     # A square of two triangles, far larger than the ball.
     coarse = np.array([[[-9, -9, 0], [9, -9, 0], [9, 9, 0]], [[-9, -9, 0], [9, 9, 0], [-9, 9, 0]]])
     points = sample(coarse + np.array([0.0, 0.0, 0.5]), 1.0, 6000, np.random.default_rng(5))
@@ -148,11 +149,11 @@ def test_samples_are_on_the_surface_in_the_ball_and_even():
     assert np.allclose(points[:, 2], 0.5)
     r = np.hypot(*points[:, :2].T)
     assert r.max() <= np.sqrt(0.75)
-    # Even over a disc of that radius: half of them within its half-area radius.
+    # Uniform over a disc of that radius: half of them within the radius of half its area.
     assert np.mean(r < np.sqrt(0.375)) == pytest.approx(0.5, abs=0.04)
 
 
-def test_the_allowed_region_has_the_volume_that_a_count_says():
+def test_the_allowed_region_has_the_volume_of_a_monte_carlo_estimate():
     rng = np.random.default_rng(9)
     normals = rng.normal(size=(7, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -170,8 +171,8 @@ def test_the_allowed_region_has_the_volume_that_a_count_says():
     assert solid.volume == pytest.approx(region.share * 4 / 3 * np.pi * RADIUS**3, rel=1e-6)
 
 
-def test_of_a_whole_ball_one_fiftieth_is_not_drawn():
-    """As docs/inspector.md says; and nothing that is drawn is outside."""
+def test_the_region_without_planes_is_98_percent_of_the_ball():
+    """As stated in docs/inspector.md; and it is inside the ball."""
     x = np.array([0.1, -0.2, 0.3])
     region = allowed_region(vf.Planes.none(RADIUS), x)
     assert region.share == pytest.approx(0.98, abs=5e-4)
@@ -184,55 +185,54 @@ def test_no_room_makes_an_empty_region():
     assert len(allowed_region(planes, np.zeros(3)).faces) == 0
 
 
-def test_what_did_not_change_is_not_asked_again(pressed):
-    question = Question(pressed, region=True, comparison=False)
-    assert question.same(Question(replace(pressed), True, False))
-    assert not question.same(None)
-    assert not question.same(Question(pressed, False, False))
-    assert not question.same(Question(replace(pressed, x=pressed.x + 1e-6), True, False))
-    assert not question.same(Question(replace(pressed, step=replace(pressed.step)), True, False))
-    assert not question.same(Question(replace(pressed, rule="paper"), True, False))
+def test_equal_requests_reuse_results(pressed):
+    request = Request(pressed, region=True, comparison=False)
+    assert request.same(Request(replace(pressed), True, False))
+    assert not request.same(None)
+    assert not request.same(Request(pressed, False, False))
+    assert not request.same(Request(replace(pressed, x=pressed.x + 1e-6), True, False))
+    assert not request.same(Request(replace(pressed, step=replace(pressed.step)), True, False))
+    assert not request.same(Request(replace(pressed, rule="paper"), True, False))
     inspector = Inspector()
-    first = inspector.answer(question)
-    again = inspector.answer(Question(replace(pressed, step=replace(pressed.step)), True, False))
+    first = inspector.inspect(request)
+    again = inspector.inspect(Request(replace(pressed, step=replace(pressed.step)), True, False))
     assert again.explanation is first.explanation
     assert again.region is first.region
 
 
-def test_a_comparison_that_lags_behind_is_made_up_for(pressed, monkeypatch):
+def test_a_late_comparison_is_repeated(pressed, monkeypatch):
     inspector = Inspector()
-    first = inspector.answer(Question(replace(pressed, tick=41), False, comparison=True))
+    first = inspector.inspect(Request(replace(pressed, tick=41), False, comparison=True))
     assert first.settled
     moved = replace(pressed, x=pressed.x + np.array([0.0, 0.0, 2e-3]), tick=43)
-    late = inspector.answer(Question(moved, False, comparison=True))
+    late = inspector.inspect(Request(moved, False, comparison=True))
     assert not late.settled  # too soon after the first
     assert late.forecasts is first.forecasts
-    # What is said of it is of the moment it was made in, not of this one.
+    # Its text is of the moment of the comparison.
     assert (late.forecasts.x == pressed.x).all()
     assert late.forecasts.tick == 41
-    assert "after tick 41" in words.comparison(late.forecasts)
-    monkeypatch.setattr("app.view.inspector.inspection.SLOW", 0.0)
-    caught_up = inspector.answer(Question(moved, False, comparison=True))
+    assert "after tick 41" in descriptions.comparison(late.forecasts)
+    monkeypatch.setattr("app.view.inspector.inspection.COMPARISON_PERIOD", 0.0)
+    caught_up = inspector.inspect(Request(moved, False, comparison=True))
     assert caught_up.settled
     assert caught_up.forecasts is not first.forecasts
     assert caught_up.forecasts.tick == 43
     assert (caught_up.forecasts.x == moved.x).all()
 
 
-def test_a_comparison_is_not_kept_for_another_place_or_other_settings(pressed):
+def test_a_comparison_is_not_reused_for_a_probe_or_other_options(pressed):
     for change in (
         {"step": None, "pose": None},
         {"options": replace(pressed.options, tip_radius=1e-3)},
     ):
         inspector = Inspector()
-        first = inspector.answer(Question(pressed, False, comparison=True))
-        other = inspector.answer(Question(replace(pressed, **change), False, comparison=True))
+        first = inspector.inspect(Request(pressed, False, comparison=True))
+        other = inspector.inspect(Request(replace(pressed, **change), False, comparison=True))
         assert other.forecasts is not first.forecasts
 
 
-def test_all_trials_are_made_from_the_state_of_one_tick(scene, pressed):
-    """What the comparison says of each rule is what that rule's own controller does next."""
-    compared = Inspector().answer(Question(pressed, False, comparison=True)).forecasts
+def test_forecasts_equal_the_next_step_of_each_rules_own_controller(scene, pressed):
+    compared = Inspector().inspect(Request(pressed, False, comparison=True)).forecasts
     for forecast in compared.of:
         controller = scenes.plant(scene, replace(pressed.options, rule=forecast.rule)).controller
         step = controller.step(pressed.pose.q, pressed.pose.target)
@@ -268,38 +268,38 @@ def test_a_ray_finds_the_first_triangle(name):
         pick(surface, [0, 0, 0], [0, 0, 0])
 
 
-def test_the_thread_drops_old_questions_and_ends_when_nobody_asks():
+def test_a_worker_drops_old_requests_and_ends_without_requests():
     done: list[int] = []
     gate = threading.Event()
 
-    def answer(question: int) -> int:
+    def answer(request: int) -> int:
         gate.wait(5.0)
-        done.append(question)
-        return question
+        done.append(request)
+        return request
 
     worker: Worker[int, int] = Worker("inspector", answer)
-    for question in range(100):
-        worker.ask(question)
+    for request in range(100):
+        worker.request(request)
     gate.set()
-    wait_until(lambda: worker.newest() == 99)
+    wait_until(lambda: worker.latest() == 99)
     assert len(done) <= 2
     wait_until(lambda: not any(t.name == "inspector" for t in threading.enumerate()))
-    worker.ask(7)  # and starts anew
-    wait_until(lambda: worker.newest() == 7)
+    worker.request(7)  # starts another thread
+    wait_until(lambda: worker.latest() == 7)
 
 
-def test_a_failing_answer_leaves_the_last_one_standing():
+def test_a_failed_computation_keeps_the_last_result():
     worker: Worker[int, float] = Worker("inspector", lambda q: 1.0 / q)
-    worker.ask(2)
-    wait_until(lambda: worker.newest() == 0.5)
-    worker.ask(0)
+    worker.request(2)
+    wait_until(lambda: worker.latest() == 0.5)
+    worker.request(0)
     time.sleep(0.05)
-    assert worker.newest() == 0.5
-    worker.ask(4)
-    wait_until(lambda: worker.newest() == 0.25)
+    assert worker.latest() == 0.5
+    worker.request(4)
+    wait_until(lambda: worker.latest() == 0.25)
 
 
-def test_comparison_leaves_the_scenes_arm_alone(scene, pressed):
+def test_a_comparison_does_not_change_the_scenes_arm(scene, pressed):
     before = scene.arm.tip(scene.start).translation.copy()
     comparison = Comparison(scene)
     comparison.forecasts(scene.surface, pressed.x, RADIUS, pressed.options, pressed.pose)

@@ -1,4 +1,4 @@
-"""Where labels are placed: apart, the more important first, and still while nothing moves."""
+"""Placement of labels: no overlaps, priority by importance, no flicker."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from PIL import ImageFont
 from app.scene import scene as scenes
 from app.settings import Options
 from app.view import labels
-from app.view.labels import Eye, Labels, Wanted, arrange, box, choices, size
+from app.view.labels import Camera, Candidate, Labels, arrange, box, choices, size
 from app.view.ruler import Rulers
 
 PIXELS = st.floats(-500.0, 2500.0)
 ANCHORS = tuple(labels._CHOICES)
 wanted_labels = st.lists(
     st.builds(
-        Wanted, PIXELS, PIXELS, st.floats(10.0, 400.0), st.floats(8.0, 40.0),
+        Candidate, PIXELS, PIXELS, st.floats(10.0, 400.0), st.floats(8.0, 40.0),
         st.sampled_from(ANCHORS),
     ),
     max_size=13,
 )  # fmt: skip
-crowds = st.lists(
+crowded_labels = st.lists(
     st.builds(
-        Wanted, st.floats(0.0, 60.0), st.floats(0.0, 30.0), st.floats(20.0, 90.0), st.just(16.0),
+        Candidate, st.floats(0.0, 60.0), st.floats(0.0, 30.0), st.floats(20.0, 90.0), st.just(16.0),
         st.sampled_from(ANCHORS),
     ),
     max_size=13,
 )  # fmt: skip
-befores = st.dictionaries(st.integers(0, 12).map(str), st.sampled_from((*ANCHORS, None)))
+last_anchors = st.dictionaries(st.integers(0, 12).map(str), st.sampled_from((*ANCHORS, None)))
 
 
-def corners(label: Wanted, anchor: str) -> np.ndarray:
-    """Rows of the lowest and highest corner (2, 2) [px] of a label, from what its anchor says."""
+def corners(label: Candidate, anchor: str) -> np.ndarray:
+    """Lowest and highest corner, as rows (2, 2) [px], of a label with an anchor."""
     vertical, horizontal = anchor.split("-")
     x = {"left": 0.0, "center": -label.width / 2, "right": -label.width}[horizontal]
     y = {"top": 0.0, "center": -label.height / 2, "bottom": -label.height}[vertical]
@@ -49,13 +49,13 @@ def corners(label: Wanted, anchor: str) -> np.ndarray:
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> float:
-    """How far two boxes are from each other along the axis where they are farther [px]."""
+    """Gap of two boxes along the axis where it is larger [px]."""
     return float(np.maximum(a[0] - b[1], b[0] - a[1]).max())
 
 
-@given(wanted=st.one_of(wanted_labels, crowds), before=befores)
-def test_labels_are_apart_and_give_way_only_to_more_important_ones(
-    wanted: list[Wanted], before: dict[str, Any]
+@given(wanted=st.one_of(wanted_labels, crowded_labels), before=last_anchors)
+def test_labels_do_not_overlap_and_yield_only_to_more_important_ones(
+    wanted: list[Candidate], before: dict[str, Any]
 ) -> None:
     named = {str(k): label for k, label in enumerate(wanted)}
     placed = arrange(named, before)
@@ -64,29 +64,31 @@ def test_labels_are_apart_and_give_way_only_to_more_important_ones(
     for name, label in named.items():
         anchor = placed[name]
         if anchor is None:
-            # Every place it could have is too near to a label before it.
+            # With every anchor it is too close to a more important label.
             for other in ANCHORS:
                 if other == "center-center" != label.anchor:
-                    continue  # its point would be under it
+                    continue  # it would cover its own point
                 it = corners(label, other)
-                assert any(apart(it, b) < labels.CLEAR + 1e-9 for b in boxes)
+                assert any(apart(it, b) < labels.NEW_GAP + 1e-9 for b in boxes)
             continue
         it = corners(label, anchor)
-        assert all(apart(it, b) > labels.TAKEN - 1e-9 for b in boxes)
+        assert all(apart(it, b) > labels.KEPT_GAP - 1e-9 for b in boxes)
         boxes.append(it)
-    assert arrange(named, placed) == placed, "nothing moves while nothing changes"
+    assert arrange(named, placed) == placed, "the same input gives the same placement"
     for name in list(named)[:1]:
-        assert placed[name] == named[name].anchor, "the first stands where it wants to"
+        assert placed[name] == named[name].anchor, (
+            "the most important label has its preferred anchor"
+        )
 
 
-def test_a_label_stands_where_its_anchor_says() -> None:
-    label = Wanted(100.0, 50.0, 40.0, 16.0, "top-left")
+def test_a_label_is_placed_by_its_anchor() -> None:
+    label = Candidate(100.0, 50.0, 40.0, 16.0, "top-left")
     assert box(label, "top-left") == (100.0, 50.0, 140.0, 66.0)  # below its point, to the right
     assert box(label, "bottom-right") == (60.0, 34.0, 100.0, 50.0)
     assert box(label, "center-center") == (80.0, 42.0, 120.0, 58.0)
 
 
-def test_what_is_tried_first_is_what_is_preferred_then_the_corners() -> None:
+def test_anchors_are_tried_from_the_preferred_one_over_the_corners() -> None:
     for anchor in ANCHORS:
         tried = choices(anchor)
         assert tried[0] == anchor
@@ -95,30 +97,29 @@ def test_what_is_tried_first_is_what_is_preferred_then_the_corners() -> None:
 
 
 def test_a_label_does_not_flicker_while_another_grazes_it() -> None:
-    """Under the same small motion to and fro it changes its place once at most."""
-    low = Wanted(100.0, 100.0, 60.0, 16.0, "bottom-left")
+    """While the other one oscillates by 2.5 px it changes its anchor once at most."""
+    low = Candidate(100.0, 100.0, 60.0, 16.0, "bottom-left")
     placed: dict[str, Any] = {}
     seen = []
     for k in range(40):
-        # The lower one's upper side is at 84 px: half a pixel from the other, then three.
-        high = Wanted(100.0, 83.5 - 2.5 * (k % 2), 60.0, 16.0, "bottom-left")
+        # The lower one's top is at 84 px: gaps of 0.5 px and 3 px in turn.
+        high = Candidate(100.0, 83.5 - 2.5 * (k % 2), 60.0, 16.0, "bottom-left")
         placed = arrange({"high": high, "low": low}, placed)
         seen.append(placed["low"])
     assert sum(a != b for a, b in itertools.pairwise(seen)) <= 1
 
 
-def test_a_point_is_where_a_camera_sees_it() -> None:
-    """By the matrices that graphics cards are given: view, then perspective, then the window."""
+def test_points_are_projected_as_by_the_matrices_of_a_graphics_card() -> None:
     rng = np.random.default_rng(3)
     for fov in (np.deg2rad(40.0), np.deg2rad(2.0)):
         R, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         R[:, 2] *= np.linalg.det(R)
-        eye = Eye(rng.normal(size=3), R, fov, 640.0, 360.0)
-        points = eye.place + (rng.normal(size=(50, 3)) * [0.3, 0.3, 1.0] @ R.T) * 20.0
+        eye = Camera(rng.normal(size=3), R, fov, 640.0, 360.0)
+        points = eye.position + (rng.normal(size=(50, 3)) * [0.3, 0.3, 1.0] @ R.T) * 20.0
         places, in_front = labels.project(points, eye)
         view = np.eye(4)
         view[:3, :3] = np.column_stack([R[:, 0], -R[:, 1], -R[:, 2]]).T
-        view[:3, 3] = -view[:3, :3] @ eye.place
+        view[:3, 3] = -view[:3, :3] @ eye.position
         near, far, f = 0.02, 2000.0, 1.0 / np.tan(fov / 2.0)
         lens = np.array(
             [
@@ -143,8 +144,8 @@ TEXTS = (
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_a_label_is_taken_for_at_least_as_large_as_in_the_widest_usual_font(text: str) -> None:
-    """DejaVu Sans, which browsers take on a Linux without others; matplotlib brings it."""
+def test_the_size_of_a_label_bounds_that_in_the_widest_common_font(text: str) -> None:
+    """DejaVu Sans, the default of many Linux systems; part of matplotlib."""
     import matplotlib
 
     path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
@@ -156,7 +157,7 @@ def test_a_label_is_taken_for_at_least_as_large_as_in_the_widest_usual_font(text
 
 
 class Nodes:
-    """Stands in for a scene: keeps what was made in it, counts what is sent."""
+    """A stand-in for viser's scene: stores the nodes, counts changed attributes."""
 
     def __init__(self) -> None:
         self.made: dict[str, Any] = {}
@@ -175,8 +176,8 @@ class Nodes:
         return self.made[name]
 
 
-def looker(distance: float) -> Any:
-    """A client that looks along y from there at the origin, z upwards."""
+def client_at(distance: float) -> Any:
+    """A client whose camera looks along y at the origin, from a distance, z up."""
     s = np.sqrt(0.5)
     return SimpleNamespace(
         scene=Nodes(),
@@ -191,14 +192,14 @@ def looker(distance: float) -> Any:
     )
 
 
-def test_each_client_is_shown_what_there_is_room_for_where_it_looks_from() -> None:
+def test_each_client_has_the_labels_with_room_in_its_own_picture() -> None:
     page = Labels(SimpleNamespace())
     crossing = page.add("/crossing/label", "crossed", anchor="top-left")
     name = page.add("/proxy/gizmo_name", "proxy", anchor="top-left")
-    page.add("/tool/force_label", "1 N", anchor="top-left")  # not to be seen
+    page.add("/tool/force_label", "1 N", anchor="top-left")  # not visible
     crossing.visible = name.visible = True
     name.position = (1.0, 0.0, 0.3)
-    near, far = looker(10.0), looker(2000.0)
+    near, far = client_at(10.0), client_at(2000.0)
     page.place({0: near, 1: far})
     shown = {
         k: {node for node, handle in client.scene.made.items() if handle.visible}
@@ -213,22 +214,22 @@ def test_each_client_is_shown_what_there_is_room_for_where_it_looks_from() -> No
 
     near.scene.sent = far.scene.sent = 0
     page.place({0: near, 1: far})
-    assert near.scene.sent == far.scene.sent == 0, "what did not change is not sent again"
+    assert near.scene.sent == far.scene.sent == 0, "nothing unchanged is sent"
     crossing.visible = False
     page.place({0: near, 1: far})
     assert far.scene.made["/labels/proxy gizmo_name"].visible, "there is room for it now"
 
-    # A label behind the eye has no place in the picture, and is in nobody's way.
+    # A label behind the camera is not drawn and takes no room.
     crossing.visible, crossing.position = True, (0.0, -50.0, 0.0)
     page.place({0: near})
     assert not near.scene.made["/labels/crossing label"].visible
     assert near.scene.made["/labels/proxy gizmo_name"].visible
-    again = looker(10.0)
+    again = client_at(10.0)
     page.place({2: again})
     assert again.scene.made["/labels/proxy gizmo_name"].visible
 
 
-def test_every_label_has_its_place_in_the_order() -> None:
+def test_every_label_has_one_rank_of_importance() -> None:
     page = Labels(SimpleNamespace())
     page.add("/tool/force_label", anchor="top-left")
     for wrong in ("/tool/force_label", "/tool/weight"):
@@ -247,9 +248,10 @@ def test_scale_bars_that_are_switched_off_stay_off_in_another_scene() -> None:
     rulers = Rulers(SimpleNamespace(add_line_segments=line), page)
     built = scenes.build(Options(mesh="cube", robot="point"), 1)
     shown = lambda: [*(bar.visible for bar in bars[-2:]), page["/ruler/site/label"].visible]  # noqa: E731
-    rulers.set_scene(built, 0.01)
+    rulers.set_scene(built)
     assert shown() == [True, True, True]
-    assert page["/ruler/site/label"].text == "2 mm"  # the longest within 0.3 of 1 cm
+    # At most 0.3 of half the view's height, a quarter of the cube's diagonal of 69 mm.
+    assert page["/ruler/site/label"].text == "5 mm"
     rulers.show(False)
-    rulers.set_scene(built, 0.01)
+    rulers.set_scene(built)
     assert shown() == [False, False, False]

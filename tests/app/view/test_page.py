@@ -1,11 +1,13 @@
-"""Parts of the page that need no browser: keys, names, cameras, signals, the trail."""
+"""Parts of the page without a browser: keys, names, cameras, signals, trail, colours."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
 import re
+import threading
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
@@ -18,14 +20,18 @@ import trimesh
 import vf
 from app.control.messages import LoopStats, Telemetry
 from app.recording.playback import Moment
-from app.recording.rerun import run_headless
+from app.refused import Refused
+from app.scene import worker
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, help, keys, palette, signals, trail, who
+from app.view import Page, camera, client_names, help, keys, palette, recorder, signals, trail
+from app.view.client_input import ClientInput
 from app.view.depth import signed_distance
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
+from tests.support.headless import wait_until
+from tests.support.runs import run_headless
 
 
 def looking(eye: list[float], at: list[float]) -> np.ndarray:
@@ -39,21 +45,21 @@ def looking(eye: list[float], at: list[float]) -> np.ndarray:
     return np.array([w, x, y, z])
 
 
-def test_nudges_go_where_the_viewer_sees_them_go() -> None:
+def test_nudges_are_in_the_viewers_directions() -> None:
     # From the front (−y) looking along +y, and from the right (+x) looking along −x, both downward.
     for eye, right, away in (
         ([0.0, -1.0, 0.7], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
         ([1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
     ):
-        axes = keys.seen_from(looking(eye, [0.0, 0.0, 0.0]))
+        axes = keys.viewer_axes(looking(eye, [0.0, 0.0, 0.0]))
         np.testing.assert_allclose(axes, np.column_stack([right, away, [0, 0, 1]]), atol=1e-12)
 
 
-def test_nudges_stay_orthonormal_however_the_camera_is_held() -> None:
+def test_the_viewers_axes_are_orthonormal_for_any_camera() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
         q = rng.normal(size=4)
-        axes = keys.seen_from(q / np.linalg.norm(q))
+        axes = keys.viewer_axes(q / np.linalg.norm(q))
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
         assert np.linalg.det(axes) == pytest.approx(1.0)
         assert (axes[:, 2] == [0.0, 0.0, 1.0]).all()
@@ -67,14 +73,14 @@ def text(html: str) -> str:
     return re.sub(r"<[^>]*>", "", html)
 
 
-def test_clients_are_told_who_has_the_proxy() -> None:
-    assert who.line(0, 0, 1) == ""
-    assert "You are ■ client 3, one of 2" in text(who.line(2, None, 2))
-    assert "You (■ client 1) have the proxy" in text(who.line(0, 0, 2))
-    other = who.line(0, 4, 3)
+def test_the_line_of_a_client_names_who_drags() -> None:
+    assert client_names.line(0, 0, 1) == ""
+    assert "You are ■ client 3, one of 2" in text(client_names.line(2, None, 2))
+    assert "You (■ client 1) have the proxy" in text(client_names.line(0, 0, 2))
+    other = client_names.line(0, 4, 3)
     assert "Another client is dragging: ■ client 5 has the proxy" in text(other)
-    assert palette.css(who.color(4)) in other
-    assert len({who.color(i) for i in range(6)}) == 6
+    assert palette.css(client_names.color(4)) in other
+    assert len({client_names.color(i) for i in range(6)}) == 6
 
 
 def test_signed_distance_is_negative_inside_only() -> None:
@@ -104,7 +110,7 @@ def surface() -> vf.Surface:
     return scene.build(Options(mesh="sphere", robot="point"), 1).surface
 
 
-def test_a_sample_is_what_the_tick_says_in_the_plots_units(
+def test_a_sample_has_the_ticks_values_in_the_plots_units(
     telemetry: list[Telemetry], surface: vf.Surface
 ) -> None:
     assert signals.sample(replace(telemetry[0], step=None), surface) is None
@@ -124,7 +130,7 @@ def test_a_sample_is_what_the_tick_says_in_the_plots_units(
     assert len(values) == signals.CURVES
 
 
-def test_a_time_that_goes_back_begins_another_history() -> None:
+def test_an_earlier_time_clears_the_history() -> None:
     history = signals.History()
     for time in (1.0, 1.1, 1.2, 0.5):
         history.add(time, np.full(signals.CURVES, time))
@@ -133,7 +139,7 @@ def test_a_time_that_goes_back_begins_another_history() -> None:
     assert (values == 0.5).all()
 
 
-def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
+def test_plots_are_sampled_while_off_and_drawn_when_switched_on(
     telemetry: list[Telemetry],
 ) -> None:
     from app.scene import scene
@@ -141,7 +147,7 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     options = Options(mesh="sphere", robot="point")
     sphere = scene.build(options, 1, warm=False)
     context: Any = MagicMock()
-    context.screen.live = True
+    context.source.live = True
     tab = signals.Signals(context)
     tab.set_scene(sphere)
     tab._on.value = False
@@ -156,13 +162,13 @@ def test_plots_are_sampled_before_they_are_looked_at_and_drawn_when_switched_on(
     plots = [SimpleNamespace(data=None) for _ in signals.PLOTS]
     tab._plots = plots
     frame(telemetry[-1])
-    assert plots[0].data is None, "switched off, they stand still"
+    assert plots[0].data is None, "switched off, nothing is sent"
     tab._on.value = True
     switched = tab._on.on_update.call_args.args[0]
     asyncio.run(switched(None))
     frame(telemetry[-1])  # of a paused loop: no new tick
-    assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with what was before"
-    context.screen.live = False  # a replay begins
+    assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with the earlier samples"
+    context.source.live = False  # a replay begins
     frame(telemetry[0])
     assert len(tab._history.shown()[0]) == 1
 
@@ -191,7 +197,7 @@ def test_the_plots_scroll_over_the_last_twenty_seconds() -> None:
     assert values[-1, 0] == 3 * signals.LENGTH - 1
     history.add(3 * signals.LENGTH * signals.PERIOD + 15.0, np.zeros(signals.CURVES))
     times, _ = history.shown()
-    assert times[0] >= -signals.SPAN, "a gap takes its time off the plot"
+    assert times[0] >= -signals.SPAN, "a gap in time counts for the span"
     history.clear()
     assert len(history.shown()[0]) == 1
 
@@ -205,18 +211,18 @@ def test_the_trail_is_bounded_skips_jumps_and_keeps_the_newest() -> None:
     np.testing.assert_allclose(path.segments[1:, 0], path.segments[:-1, 1])
     last = path.segments[-1, 1].copy()
     ahead = np.array([1.0, 0.0, 0.0])
-    assert not path.add(last + 0.1 * trail.SPACING * ahead, 0.0), "hardly moved"
-    assert not path.add(last + 2.0 * trail.JUMP * ahead, 0.0), "was put there"
-    assert path.add(last + (2.0 * trail.JUMP + 1e-3) * ahead, 0.0)
+    assert not path.add(last + 0.1 * trail.MIN_STEP * ahead, 0.0), "less than the shortest segment"
+    assert not path.add(last + 2.0 * trail.MAX_STEP * ahead, 0.0), "a reset"
+    assert path.add(last + (2.0 * trail.MAX_STEP + 1e-3) * ahead, 0.0)
     assert np.linalg.norm(np.diff(path.segments[-1], axis=0)) == pytest.approx(1e-3)
-    path.lift()
+    path.break_line()
     assert not path.add(last, 0.0)
     path.clear()
     assert path.count == 0
 
 
-def test_the_trail_gets_darker_with_depth_and_is_told_from_the_outside() -> None:
-    depths = np.linspace(0.0, 2.0 * trail.DEEP, 9)
+def test_the_trail_is_darker_with_depth_and_has_another_colour_outside() -> None:
+    depths = np.linspace(0.0, 2.0 * trail.MAX_DEPTH, 9)
     shades = trail.colors(-depths[1:]).astype(float)
     lightness = shades @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness[:4]) < -10.0).all()
@@ -226,7 +232,7 @@ def test_the_trail_gets_darker_with_depth_and_is_told_from_the_outside() -> None
 
 
 class Camera(SimpleNamespace):
-    """What `Following` and `move` touch of viser's; a position takes what is looked at along."""
+    """The attributes of viser's camera that `Following` and `move` use."""
 
 
 def client_at(eye: list[float], at: list[float]) -> Any:
@@ -237,7 +243,7 @@ def client_at(eye: list[float], at: list[float]) -> Any:
     )
 
 
-def test_a_following_camera_keeps_the_tool_in_its_middle_and_its_own_distance() -> None:
+def test_a_following_camera_keeps_the_tool_centred_at_its_distance() -> None:
     following = camera.Following()
     client = client_at([0.0, -10.0, 5.0], [0.0, 0.0, 0.0])
     following.start(7, np.zeros(3))
@@ -248,7 +254,7 @@ def test_a_following_camera_keeps_the_tool_in_its_middle_and_its_own_distance() 
     np.testing.assert_allclose(client.camera.look_at, VIEW_SCALE * tip)
     away = client.camera.position - client.camera.look_at
     np.testing.assert_allclose(away, [0.0, -10.0, 5.0])
-    # A stale report of the client's, then another motion: no drift comes of it.
+    # A stale position reported by the client causes no drift.
     client.camera.position, client.camera.look_at = np.array([0.0, -10.0, 5.0]), np.zeros(3)
     following.update({7: client}, 2.0 * tip)
     np.testing.assert_allclose(client.camera.look_at, 2.0 * VIEW_SCALE * tip)
@@ -257,7 +263,7 @@ def test_a_following_camera_keeps_the_tool_in_its_middle_and_its_own_distance() 
     np.testing.assert_allclose(client.camera.look_at, 2.0 * VIEW_SCALE * tip)
     following.start(8, np.zeros(3))
     following.update({}, np.ones(3))
-    assert following.clients == (), "who is gone is not followed"
+    assert following.clients == (), "a disconnected client is forgotten"
 
 
 def test_the_surgeon_looks_down_along_the_instrument(telemetry: list[Telemetry]) -> None:
@@ -271,7 +277,7 @@ def test_the_surgeon_looks_down_along_the_instrument(telemetry: list[Telemetry])
         np.testing.assert_allclose(view.look_at, [0.1, 0.0, 0.2])
 
 
-# Linear RGB as it is seen without one kind of cones: Machado, Oliveira, Fernandes 2009, severity 1.
+# Linear RGB with a colour blindness: Machado, Oliveira, Fernandes 2009, severity 1.
 BLINDNESS = {
     "none": np.eye(3),
     "protanopia": [
@@ -293,7 +299,7 @@ BLINDNESS = {
 
 
 def seen(color: palette.Rgb, kind: str) -> np.ndarray:
-    """CIE L*a*b* (3,) of an sRGB colour as somebody sees it."""
+    """CIE L*a*b* (3,) of an sRGB colour with a colour blindness."""
     c = np.array(color) / 255.0
     linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
     linear = np.clip(np.array(BLINDNESS[kind]) @ linear, 0.0, 1.0)
@@ -304,15 +310,15 @@ def seen(color: palette.Rgb, kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", list(BLINDNESS))
-def test_the_colours_of_the_rules_are_told_apart(kind: str) -> None:
+def test_the_colours_of_the_rules_are_distinct(kind: str) -> None:
     for a, b in itertools.combinations(palette.LOOKS, 2):
         apart = np.linalg.norm(
             seen(palette.LOOKS[a].color, kind) - seen(palette.LOOKS[b].color, kind)
         )
-        assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 can just be told apart
+        assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 is just noticeable
 
 
-def test_the_page_calls_every_part_there_is_and_nothing_else() -> None:
+def test_the_page_calls_every_part() -> None:
     with Session(Options(mesh="cube", robot="point")) as session:
         page = Page(session, "127.0.0.1", 0)
         try:
@@ -331,7 +337,7 @@ def test_the_page_calls_every_part_there_is_and_nothing_else() -> None:
                 def read_out(self, shown: Moment) -> None:
                     heard.append("read-out")
 
-            # Nobody watches: what the view thread does is done here.
+            # Without clients the view thread does not call the parts.
             page._parts = (*page._parts, Listening())
             session.change(mesh="stairs")
             page._frame()
@@ -340,3 +346,80 @@ def test_the_page_calls_every_part_there_is_and_nothing_else() -> None:
             assert heard == ["scene stairs", "frame stairs", "frame stairs", "read-out"]
         finally:
             page.close()
+
+
+def test_opening_a_replay_can_be_stopped_and_the_session_ticks_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "folder", lambda: tmp_path)
+    client: Any = SimpleNamespace(client_id=-1)
+    with Session(Options(mesh="cube", robot="point")) as session:
+        tape = session.record(tmp_path / "run.vfrec")
+        wait_until(lambda: tape.rows > 20)
+        session.stop_recording()
+        session.change(mesh="stairs")
+        # Built in another process, as for a large mesh.
+        monkeypatch.setattr(worker, "light", lambda _mesh: False)
+        page = Page(session, "127.0.0.1", 0)
+        try:
+            (tab,) = (part for part in page._parts if isinstance(part, recorder.RecordTab))
+
+            def open_it() -> threading.Thread:
+                thread = threading.Thread(
+                    target=tab._run, args=(client, lambda: tab._start(client))
+                )
+                thread.start()
+                wait_until(lambda: tab._opening or not thread.is_alive())
+                return thread
+
+            opening = open_it()
+            page._read_out()
+            assert tab._open.label == "Stop opening"
+            tick = session.latest().tick
+            wait_until(lambda: session.latest().tick > tick + 100)
+            with pytest.raises(Refused, match="another change is under way"):
+                session.change(mesh="gear")
+            assert session.work.going
+            session.work.stop()
+            opening.join(20.0)
+            page._read_out()
+            assert tab._open.label == "Replay"
+            assert not session.suspended
+            assert page.shown.scene.mesh_name == "stairs"
+
+            open_it().join(60.0)
+            page._frame()
+            assert session.suspended
+            assert page.shown.scene.mesh_name == "cube"
+            assert page.shown.handle is None
+            tab._replaying.leave()
+            assert not session.suspended
+        finally:
+            page.close()
+
+
+def test_a_gizmo_that_is_dragged_while_it_is_placed_is_placed_again() -> None:
+    proxy, handle = MagicMock(), pin.SE3.Identity()
+    entry = ClientInput(
+        SimpleNamespace(handle=handle),  # type: ignore[arg-type]
+        SimpleNamespace(get_clients=dict),  # type: ignore[arg-type]
+        proxy,
+        lambda _client, _text: None,
+    )
+    try:
+        entry.release()
+        wait_until(lambda: entry._shown is None)
+
+        def moved_meanwhile(_handle: pin.SE3) -> None:
+            entry.release()
+            wait_until(lambda: entry._worker._work_queue.empty() and entry._shown is None)
+
+        proxy.place.side_effect = moved_meanwhile
+        entry.update(None, False)
+        proxy.place.side_effect = None
+        entry.update(None, False)
+        assert proxy.place.call_count == 2
+        entry.update(None, False)
+        assert proxy.place.call_count == 2, "nothing is sent for an unchanged pose"
+    finally:
+        entry.close()

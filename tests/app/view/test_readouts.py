@@ -1,4 +1,4 @@
-"""What the page says: the banner for each state, the words for each outcome and solver."""
+"""Banner for each state, texts for each outcome and solver."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def says(session: Session, words: str) -> bool:
 
 
 def below(session: Session, depth: float) -> pin.SE3:
-    """The start's pose moved downwards [m]."""
+    """The start pose moved down by a depth [m]."""
     start = session.scene.T_base_start
     return pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, depth]))
 
@@ -106,7 +106,7 @@ def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
     assert "Recovering" in banner(session, replace(session.latest(), paused=False))
 
 
-def test_a_tool_that_went_inside_without_a_fixture_is_told_so(session: Session) -> None:
+def test_a_tool_inside_the_anatomy_is_reported(session: Session) -> None:
     session.set(rule="off")
     session.drive(into(session))
     wait_until(lambda: says(session, "No fixture (rule off)"))
@@ -124,7 +124,7 @@ def test_a_tool_that_went_inside_without_a_fixture_is_told_so(session: Session) 
     assert not surface.inside(np.array(step_of(session).tip.translation))
 
 
-def test_clutch_autopilot_and_a_lost_hand_are_announced(session: Session) -> None:
+def test_clutch_autopilot_and_stale_commands_are_reported(session: Session) -> None:
     session.clutch(True)
     wait_until(lambda: says(session, "Clutched"))
     assert session.master.clutched
@@ -143,7 +143,7 @@ def test_a_joint_at_its_limit_is_named(session: Session) -> None:
     wait_until(lambda: says(session, "Joint limit: insertion (lower)"))
 
 
-def test_held_and_refused_ticks_say_why(session: Session) -> None:
+def test_held_and_refused_ticks_have_a_reason(session: Session) -> None:
     telemetry = session.latest()
     assert telemetry.step is not None
     target = session.scene.T_base_start
@@ -155,13 +155,13 @@ def test_held_and_refused_ticks_say_why(session: Session) -> None:
     assert "no step allowed" in banner(session, replace(telemetry, step=step, target=target))
 
 
-def test_a_silent_loop_is_the_first_thing_said(session: Session) -> None:
+def test_a_silent_loop_is_the_most_urgent_state(session: Session) -> None:
     assert "silent for 3 s" in banner(session, replace(session.latest(), paused=True), silent=3.2)
     assert "Ready" in banner(session, silent=0.1)
 
 
 @pytest.mark.parametrize("solver", list(Solver))
-def test_each_solver_and_status_has_plain_words(session: Session, solver: Solver) -> None:
+def test_each_solver_and_status_has_a_text(session: Session, solver: Solver) -> None:
     telemetry = session.latest()
     assert telemetry.step is not None
     counts = {status: 1000 + k for k, status in enumerate(vf.Status)}
@@ -174,7 +174,7 @@ def test_each_solver_and_status_has_plain_words(session: Session, solver: Solver
         assert f"{status.name} {palette.STATUS_HELP[status]}{count:,}" in table
 
 
-def test_no_two_readouts_are_alike_so_that_the_watchdog_is_wound_up(session: Session) -> None:
+def test_read_outs_differ_so_that_the_watchdog_restarts(session: Session) -> None:
     telemetry = session.latest()
     first, second = (
         readouts.readouts(telemetry, session.options, extras(session, count=k)) for k in (1, 2)
@@ -205,7 +205,7 @@ def test_every_kind_of_plane_is_counted_and_in_the_legend(session: Session) -> N
         assert palette.LOOKS[rule].name in legend
 
 
-def test_triangles_that_a_tips_ball_can_reach_are_counted(session: Session) -> None:
+def test_triangles_within_reach_of_the_tips_ball_are_counted(session: Session) -> None:
     telemetry = session.latest()
     assert telemetry.step is not None
     step = telemetry.step

@@ -1,4 +1,4 @@
-"""Depth, distance, sides and the word "Free.": at every rule, against brute force."""
+"""Distance, depth and side of the tool under every rule, against brute force."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.support.headless import wait_until
 
 
 def distance(session: Session, p: np.ndarray) -> float:
-    """From p (3,) to the mesh, over all triangles."""
+    """Distance from p (3,) to the mesh, over all triangles."""
     corners = session.scene.surface.vertices[session.scene.surface.faces]
     points = trimesh.triangles.closest_point(corners, np.tile(p, (len(corners), 1)))
     return float(np.linalg.norm(points - p, axis=1).min())
@@ -41,8 +41,8 @@ def sheet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class Told:
-    """What the page says of a session at rest, and what it says it from."""
+class Shown:
+    """What the page shows of a session at rest."""
 
     def __init__(self, session: Session) -> None:
         telemetry = session.latest()
@@ -82,7 +82,7 @@ def session(request: pytest.FixtureRequest, sheet: Path) -> Iterator[Session]:
 
 
 def go(session: Session, height: float) -> None:
-    """Lead the tool without a fixture to a height over the mesh's top [m]."""
+    """Move the tool without a fixture to a height above the mesh's top [m]."""
     session.set(rule="off")
     session.set(tip_radius=0.0)
     session.reset()
@@ -100,90 +100,90 @@ def tip(session: Session) -> np.ndarray:
 
 
 def settle(session: Session) -> None:
-    """Wait for ticks with what was set last, and for the watch to have seen them."""
+    """Wait until ticks with the new settings have been tested for crossings."""
     tick = session.latest().tick
     wait_until(lambda: session.latest().tick > tick + 100)
 
 
-def rules(session: Session) -> Iterator[tuple[str, Told]]:
-    """Every rule, and what the page says under it where the tool is."""
+def rules(session: Session) -> Iterator[tuple[str, Shown]]:
+    """Each rule, and what the page shows under it."""
     for rule in vf.RULES:
         session.set(rule=rule)
         settle(session)
-        yield rule, Told(session)
+        yield rule, Shown(session)
 
 
-def test_in_free_space_it_is_free(session: Session) -> None:
+def test_free_space_is_reported_as_free(session: Session) -> None:
     go(session, 0.008)
-    for rule, told in rules(session):
-        assert told.where.free
-        assert told.number("distance to surface") == pytest.approx(8.0, abs=5e-3)
-        assert ("Free." in told.banner) == (rule != "off")
-        assert "crossingnone" in told.table
+    for rule, shown in rules(session):
+        assert shown.where.free
+        assert shown.number("distance to surface") == pytest.approx(8.0, abs=5e-3)
+        assert ("Free." in shown.banner) == (rule != "off")
+        assert "crossingnone" in shown.table
 
 
-def test_behind_the_surface_it_is_never_free(session: Session) -> None:
+def test_behind_the_surface_is_never_reported_as_free(session: Session) -> None:
     """Inside the sphere, below the plate, on the far side of the sheet."""
     go(session, -0.012)
     solid = session.scene.surface
-    for _, told in rules(session):
+    for _, shown in rules(session):
         assert session.crossing is not None
-        assert "Free." not in told.banner
-        assert f"Crossed at tick {session.crossing.tick:,}, triangle #" in told.banner
-        assert "(rule off)" in told.banner
-        assert "Reset" in told.banner
-        true = 1e3 * distance(session, told.p_tip)
-        assert told.number("distance to surface") == pytest.approx(true, abs=6e-4)
+        assert "Free." not in shown.banner
+        assert f"Crossed at tick {session.crossing.tick:,}, triangle #" in shown.banner
+        assert "(rule off)" in shown.banner
+        assert "Reset" in shown.banner
+        true = 1e3 * distance(session, shown.p_tip)
+        assert shown.number("distance to surface") == pytest.approx(true, abs=6e-4)
         if session.scene.mesh_name == "sphere":
-            assert trimesh.Trimesh(solid.vertices, solid.faces).contains([told.p_tip]).all()
-            assert "deep in the anatomy" in told.banner
-            assert told.number("depth below surface") == pytest.approx(true, abs=6e-4)
+            assert trimesh.Trimesh(solid.vertices, solid.faces).contains([shown.p_tip]).all()
+            assert "deep in the anatomy" in shown.banner
+            assert shown.number("depth below surface") == pytest.approx(true, abs=6e-4)
         else:
-            assert "On the far side" in told.banner
-            depth = 1e3 * (float(solid.vertices[:, 2].max()) - told.p_tip[2])
-            assert told.number("depth below crossing") == pytest.approx(depth, abs=6e-4)
+            assert "On the far side" in shown.banner
+            depth = 1e3 * (float(solid.vertices[:, 2].max()) - shown.p_tip[2])
+            assert shown.number("depth below crossing") == pytest.approx(depth, abs=6e-4)
     session.pause()
     wait_until(lambda: session.latest().paused)
-    assert "Paused." in Told(session).banner
-    assert re.search("deep in|On the far side", Told(session).banner)
+    assert "Paused." in Shown(session).banner
+    assert re.search("deep in|On the far side", Shown(session).banner)
     session.resume()
 
 
-def test_back_out_it_is_said_to_be_back_but_the_crossing_stays(session: Session) -> None:
+def test_a_crossing_stays_reported_after_the_return(session: Session) -> None:
     go(session, -0.012)
     start = session.scene.T_base_start
     session.drive(start)
     wait_until(lambda: np.allclose(tip(session), start.translation, atol=1e-7))
-    for _, told in rules(session):
-        assert "Crossed at tick" in told.banner
-        assert "Back on the near side" in told.banner
-        assert "Free." not in told.banner
+    for _, shown in rules(session):
+        assert "Crossed at tick" in shown.banner
+        assert "Back on the near side" in shown.banner
+        assert "Free." not in shown.banner
 
 
-def test_a_ball_is_measured_from_its_centre_and_from_its_surface(session: Session) -> None:
+def test_distances_of_a_ball_are_from_its_centre_and_its_surface(session: Session) -> None:
     go(session, 0.004)
     session.set(tip_radius=0.001)
-    for rule, told in rules(session):
-        true = 1e3 * distance(session, told.p_tip)
-        assert told.number("tip’s centre to surface") == pytest.approx(true, abs=6e-4)
-        assert told.number("tip’s ball to surface") == pytest.approx(true - 1.0, abs=6e-4)
+    for rule, shown in rules(session):
+        true = 1e3 * distance(session, shown.p_tip)
+        assert shown.number("tip’s centre to surface") == pytest.approx(true, abs=6e-4)
+        assert shown.number("tip’s ball to surface") == pytest.approx(true - 1.0, abs=6e-4)
         # Of a thin plate, rule "all" also has the planes of the side turned away.
-        assert "Free." in told.banner or rule in ("all", "off")
+        assert "Free." in shown.banner or rule in ("all", "off")
     go(session, 0.004)
     session.pause()
     wait_until(lambda: session.latest().paused)
     session.set(tip_radius=0.005)  # now it overlaps, though nothing moved
-    told = Told(session)
-    true = 1e3 * distance(session, told.p_tip)
-    assert told.where.overlaps
-    assert not told.where.free
-    assert told.number("tip’s ball to surface") == pytest.approx(true - 5.0, abs=6e-4)
+    shown = Shown(session)
+    true = 1e3 * distance(session, shown.p_tip)
+    assert shown.where.overlaps
+    assert not shown.where.free
+    assert shown.number("tip’s ball to surface") == pytest.approx(true - 5.0, abs=6e-4)
     session.resume()
     settle(session)
     assert session.crossing is None
 
 
-def test_round_the_edge_is_no_far_side_and_no_crossing(sheet: Path) -> None:
+def test_a_path_round_the_edge_is_no_crossing(sheet: Path) -> None:
     options = Options(mesh=str(sheet), unit="mm", robot="point")
     with Session(options) as session:
         start = session.scene.T_base_start
@@ -192,30 +192,30 @@ def test_round_the_edge_is_no_far_side_and_no_crossing(sheet: Path) -> None:
             session.drive(pin.SE3(start.rotation, goal))
             wait_until(lambda goal=goal: np.allclose(tip(session), goal, atol=1e-6))
         settle(session)
-        told = Told(session)
+        shown = Shown(session)
         assert session.crossing is None
-        assert "Free." in told.banner
-        assert "depth below surface–" in told.table
+        assert "Free." in shown.banner
+        assert "depth below surface–" in shown.table
 
 
-def test_the_shaft_in_the_mesh_is_remarked() -> None:
-    """The tip goes round the edge of a plate, and below it, where the shaft sticks through it."""
+def test_a_shaft_in_the_mesh_is_reported() -> None:
+    """The tip moves round the edge of a plate to below it, where the shaft penetrates it."""
     with Session(Options(mesh="thin-plate")) as session:
         settle(session)
         remark = "The shaft is in the mesh: only the tip is guarded."
-        assert not Told(session).where.shaft_crosses
-        assert remark not in Told(session).banner
+        assert not Shown(session).where.shaft_crosses
+        assert remark not in Shown(session).banner
         start = session.scene.T_base_start
         for shift in ((0.06, 0.0, 0.0), (0.06, 0.0, -0.03), (0.03, 0.0, -0.03)):
             goal = start.translation + np.array(shift)
             session.drive(pin.SE3(start.rotation, goal))
             wait_until(lambda goal=goal: np.allclose(tip(session), goal, atol=1e-4))
         settle(session)
-        told = Told(session)
+        shown = Shown(session)
         assert session.crossing is None
-        assert told.where.shaft_crosses
-        assert remark in told.banner
-        assert "Free." in told.banner
+        assert shown.where.shaft_crosses
+        assert remark in shown.banner
+        assert "Free." in shown.banner
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_the_shaft_in_the_mesh_is_remarked() -> None:
     # The drawings of the others take some seconds to read.
     [pytest.param(n, marks=[pytest.mark.slow] * (n in ("panda", "ur5"))) for n in robots.names()],
 )
-def test_the_shaft_is_a_line_from_the_tip_up_the_arm(name: str) -> None:
+def test_the_shaft_is_a_polyline_from_the_tip_along_the_arm(name: str) -> None:
     arm = robots.load(name)
     p_tip = np.array(arm.tip(arm.neutral).translation)
     line = shaft(arm, arm.neutral, p_tip)

@@ -84,10 +84,14 @@ def test_modes_of_tracing_share_the_day_and_skulls_are_new() -> None:
     assert (
         SHORT.generator(0).random() != dataclasses.replace(SHORT, rule="off").generator(0).random()
     )
-    assert protocol.who(trace) == Operator()
+    assert protocol.operator_of(trace) == Operator()
     someone = dataclasses.replace(SHORT, operator=3)
-    assert protocol.who(someone) == protocol.who(dataclasses.replace(someone, rule="off"))
-    assert protocol.who(someone) != protocol.who(dataclasses.replace(someone, operator=4))
+    assert protocol.operator_of(someone) == protocol.operator_of(
+        dataclasses.replace(someone, rule="off")
+    )
+    assert protocol.operator_of(someone) != protocol.operator_of(
+        dataclasses.replace(someone, operator=4)
+    )
 
 
 def test_the_report_holds_all_it_shows(outcomes: list[Outcome], tmp_path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from app.judges import oracles
 from app.studies.verification import campaign, scenes
 from meshes.builtin.damage import damage, kinds
 from tests.support.everyday import everyday
-from vf.cover import Buffer
+from vf import cover, fixtures
 
 ROOT = Path(__file__).parents[4]
 SMALL = ("cube", "gear", "thin-plate", "skull-coarse")
@@ -121,7 +122,7 @@ def test_every_surface_of_a_scene_and_its_corridor_are_judged() -> None:
     across = np.cross(corridor.direction, down)
     for k in range(4):
         y = (1e-3 * k + 5e-4) * down
-        out = oracles.aside(corridor.path, corridor.direction, y) > corridor.width
+        out = oracles.lateral_distance(corridor.path, corridor.direction, y) > corridor.width
         assert around.crossings(x, y) == k + out
     assert around.crossings(x, 0.5 * across / np.linalg.norm(across)) == 1  # the corridor alone
     assert around.crossings(x, 2.0 * around.surfaces[3].vertices[0]) >= 1  # a pin
@@ -140,7 +141,7 @@ def test_a_ball_that_is_between_the_walls_is_in_the_corridor() -> None:
         assert isinstance(corridor, vf.CorridorFixture)
         spots = corridor.path[rng.integers(1, 5, 600)]
         for x in spots + 0.4 * corridor.width * rng.normal(size=(600, 3)):
-            off = oracles.aside(corridor.path, corridor.direction, x)
+            off = oracles.lateral_distance(corridor.path, corridor.direction, x)
             between = corridor.room(x) >= tip
             if between and off > corridor.width - tip:
                 beside += 1
@@ -155,7 +156,7 @@ def test_the_distance_from_a_path_seen_along_the_cut():
     for p, distance in (
         ([0.5, 0.5, 9.0], 0.5), ([-2.0, 0.3, 1.0], 2.0), ([-1.0, -7.0, 0.0], 1.0),
         ([5.0, 1.5, 0.0], 0.5), ([-3.0, 5.0, 0.0], 5.0)):  # fmt: skip
-        found = oracles.aside(path, np.array([0.0, 0.0, 1.0]), np.array(p))
+        found = oracles.lateral_distance(path, np.array([0.0, 0.0, 1.0]), np.array(p))
         assert found == pytest.approx(distance), p
 
 
@@ -203,18 +204,21 @@ def test_the_papers_conditions_leak_on_damaged_meshes(kind):
 
 def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
-    honest = Buffer.fill
+    honest = cover.cover
 
-    def weakened(self, surface, x, radius, standoff, tip_radius, first=0, sharing=False):
-        m, reach = honest(self, surface, x, radius, standoff, tip_radius, first, sharing)
+    def weakened(surface, x, radius, standoff, tip_radius):
+        planes = honest(surface, x, radius, standoff, tip_radius)
         back = standoff + 5e-5
-        normals, offsets, points, _, _, floors = self.rows(first)
-        offsets[:m] -= back
-        floors[:m] -= back
-        points[:m] -= back * normals[:m]
-        return m, reach
+        return replace(
+            planes,
+            offsets=planes.offsets - back,
+            floors=planes.floors - back,
+            points=planes.points - back * planes.normals,
+        )
 
-    monkeypatch.setattr(Buffer, "fill", weakened)
+    monkeypatch.setattr(cover, "cover", weakened)
+    monkeypatch.setattr(fixtures, "cover", weakened)
+    monkeypatch.setattr(fixtures, "Search", lambda *_: None)  # ticks ask the fixture
     mesh = meshes.arrays("cube")
     driven = campaign.drive(
         robots.load("point"), mesh, rule="certified", radius=5e-4, steps=2000, seed=5

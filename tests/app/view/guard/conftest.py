@@ -1,4 +1,4 @@
-"""A page with a control loop behind it that ticks on, whatever hostile clients do to the page."""
+"""A page with a running control loop, for tests with hostile clients."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.support.headless import wait_until
 
 @pytest.fixture(autouse=True)
 def no_thread_left_behind() -> None:
-    """The page's pools start threads as they are needed, and end them with the page."""
+    """Not checked per test: the page's thread pools end with the page."""
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +46,14 @@ def page(session: Session) -> Iterator[Page]:
 
 @pytest.fixture(scope="module")
 def open_page(session: Session) -> Iterator[Page]:
-    """One that listens on every address of this machine."""
+    """A page that listens on all addresses of this machine."""
     with serving(session, "0.0.0.0") as page:
         yield page
 
 
 @pytest.fixture(autouse=True)
 def ticking(session: Session) -> Iterator[None]:
-    """Whatever a test did to the page, the loop is alive after it."""
+    """After each test the control loop still runs."""
     yield
     before = session.latest().tick
     wait_until(lambda: session.latest().tick > before + 5)

@@ -1,4 +1,4 @@
-"""Hostile clients: what each of them sends is dropped or cut off, and the control loop ticks on."""
+"""Hostile messages and connections are dropped or closed; the control loop runs on."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from websockets.sync.client import ClientConnection
 
 from app.session import Session
 from app.view import Page, guard
-from app.view.guard import allowance, connection
-from app.view.guard.messages import LARGEST, problem_with
-from app.view.guard.repairs import SHARE
+from app.view.guard import connection, token_bucket
+from app.view.guard.messages import MAX_MESSAGE, problem_with
+from app.view.guard.patches import SHARE
 from tests.support.clients import joined
 from tests.support.headless import wait_until
 
@@ -37,7 +37,7 @@ def packed(**fields: object) -> bytes:
 
 
 def cut_off(socket: ClientConnection, *messages: bytes | str) -> int:
-    """The code with which the server ends the connection while or after it is sent this."""
+    """Close code with which the server ends the connection during or after these messages."""
     try:
         for raw in messages:
             socket.send(raw)
@@ -54,7 +54,7 @@ def send_for_ever(send: Callable[[bytes], object], raw: bytes) -> None:
         send(raw)
 
 
-def test_a_crafted_message_opens_no_tunnel(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_open_no_tunnel(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[object] = []
     monkeypatch.setattr(_viser, "ViserTunnel", lambda *a: opened.append(a))
     with joined(page) as socket:
@@ -64,7 +64,7 @@ def test_a_crafted_message_opens_no_tunnel(page: Page, monkeypatch: pytest.Monke
         wait_until(lambda: page.server.get_clients())
     assert not opened
     assert page.server._share_tunnel is None
-    with pytest.raises(guard.Unguarded):
+    with pytest.raises(guard.GuardError):
         page.server.request_share_url()
     assert not opened
 
@@ -113,7 +113,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("raw", BAD.values(), ids=BAD.keys())
-def test_a_message_that_no_browser_sends_has_a_problem(raw: bytes | str) -> None:
+def test_invalid_messages_are_recognized(raw: bytes | str) -> None:
     assert problem_with(raw)
 
 
@@ -136,12 +136,12 @@ def test_a_message_that_no_browser_sends_has_a_problem(raw: bytes | str) -> None
     ],
     ids=lambda fields: str(fields["type"]),
 )  # fmt: skip
-def test_what_browsers_send_has_none(fields: dict[str, object]) -> None:
+def test_messages_of_browsers_are_valid(fields: dict[str, object]) -> None:
     assert problem_with(packed(**fields)) is None
     assert _viser._messages.Message.deserialize(packed(**fields))
 
 
-def test_every_mutation_of_a_message_is_refused_or_readable() -> None:
+def test_every_mutated_message_is_refused_or_decodable() -> None:
     rng = np.random.default_rng(0)
     good = [packed(**GIZMO), packed(**CAMERA), packed(**UPDATE)]
     passed = 0
@@ -165,9 +165,9 @@ def test_a_few_bad_messages_are_dropped_and_many_end_the_connection(page: Page) 
     wait_until(lambda: not page.server.get_clients())
 
 
-def test_a_message_without_end_ends_the_connection(page: Page) -> None:
+def test_an_oversized_message_closes_the_connection(page: Page) -> None:
     with joined(page) as socket:
-        assert cut_off(socket, bytes(LARGEST + 1)) == 1009
+        assert cut_off(socket, bytes(MAX_MESSAGE + 1)) == 1009
 
 
 def test_a_flood_is_dropped_then_cut_off(page: Page, session: Session) -> None:
@@ -180,7 +180,7 @@ def test_a_flood_is_dropped_then_cut_off(page: Page, session: Session) -> None:
         assert session.latest().tick > tick
     wait_until(lambda: not page.server.get_clients())
     with joined(page) as socket:
-        assert socket.recv(timeout=10.0), "others are welcome"
+        assert socket.recv(timeout=10.0), "other clients are served"
 
 
 def test_a_flood_of_pings_is_cut_off(page: Page) -> None:
@@ -189,11 +189,11 @@ def test_a_flood_of_pings_is_cut_off(page: Page) -> None:
         send_for_ever(client.socket.sendall, ping * 1000)
 
 
-def test_drags_at_a_browser_s_rate_pass_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten seconds of drag, camera and slider at once, and a second of all that in a bunch."""
+def test_no_message_of_a_browser_s_drag_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten seconds of drag, camera and slider together, then a second of them in one burst."""
     clock = [0.0]
-    monkeypatch.setattr(allowance, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    messages = allowance.Allowance(*connection.MESSAGES)
+    monkeypatch.setattr(token_bucket, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    messages = token_bucket.TokenBucket(*connection.MESSAGES)
     for _ in range(1000):
         clock[0] += 0.01
         assert messages.take()
@@ -212,7 +212,7 @@ def test_an_upload_is_slowed_and_not_cut_off(page: Page) -> None:
 def test_a_client_that_does_not_read_is_dropped(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "STALLED", 0.5)
+    monkeypatch.setattr(connection, "STALL_TIMEOUT", 0.5)
     raw = socket.create_connection(("127.0.0.1", page.port))
     with raw:
         raw.sendall(
@@ -253,13 +253,13 @@ def test_values_of_the_wrong_type_do_not_fill_the_log(
     assert 1 <= sum("never retrieved" in record.message for record in caplog.records) <= 12
 
 
-def test_clients_that_vanish_leave_nothing(page: Page) -> None:
+def test_clients_that_disconnect_leave_no_state(page: Page) -> None:
     for _ in range(5):
         client = joined(page)
         client.send(packed(**CAMERA))
         wait_until(lambda: page.server.get_clients())
         client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        client.socket.close()  # a reset, without a word
+        client.socket.close()  # a TCP reset
         wait_until(lambda: not page.server.get_clients())
     server = page.server._websock_server
     wait_until(lambda: not server._live_connections and not server._client_state_from_id)

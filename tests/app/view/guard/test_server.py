@@ -1,4 +1,4 @@
-"""The server itself: its port, its senders' sleep, and the viser that it is made of."""
+"""The server: its port, the patched wake-up, and the check of viser's internals."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from app.view import Page, guard
 from tests.support.clients import asked
 
 
-def test_a_message_from_another_thread_in_the_worst_moment_is_sent(page: Page) -> None:
+def test_a_message_pushed_between_test_and_wait_is_sent(page: Page) -> None:
     async def receive() -> str:
         loop = asyncio.get_running_loop()
         buffer = AsyncMessageBuffer(loop, persistent_messages=True)
         theirs = loop.create_future
 
         def create_future() -> asyncio.Future[None]:
-            # The sender has seen that nothing waits to be sent, and is about to fall asleep.
+            # The sender has found no message and is about to wait.
             if sys._getframe(1).f_locals.get("self") is buffer.message_event:
                 loop.create_future = theirs
                 message = wire.SetGuiPanelLabelMessage("late")
@@ -42,15 +42,13 @@ def test_a_message_from_another_thread_in_the_worst_moment_is_sent(page: Page) -
     assert asyncio.run(receive()) == "late"
 
 
-def test_a_second_server_on_the_port_says_so(session: Session, page: Page) -> None:
+def test_a_second_server_on_the_port_is_refused(session: Session, page: Page) -> None:
     with pytest.raises(OSError, match=f"port {page.port} on 127.0.0.1 was taken"):
         Page(session, "127.0.0.1", page.port)
     assert asked(page)[0] == 200
 
 
-def test_a_viser_that_changed_is_not_served(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_changed_viser_is_not_served(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(wire, "TransformControlsUpdateMessage")
-    with pytest.raises(guard.Unguarded, match="TransformControlsUpdateMessage missing"):
+    with pytest.raises(guard.GuardError, match="TransformControlsUpdateMessage missing"):
         Page(session, "127.0.0.1", 0)

@@ -1,4 +1,4 @@
-"""What the page shows: the session as it runs, or something put in its place."""
+"""What the page shows: the running session, or a replay in its place."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from app.recording.playback import Moment
 from app.session import Session
 
 
-class Screen:
-    """The one place from which the page takes scene, options and telemetry.
+class Source:
+    """Scene, options and telemetry for all parts of the page.
 
     Attributes:
-        instead: what to show instead of the session; None: the session.
-        caption: what the banner says meanwhile.
-        shown: what `now` returned last.
+        override: returns what to show instead of the session; None: the session is shown.
+        caption: text of the banner while `override` is set.
+        shown: the last result of `now`.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self.instead: Callable[[], Moment] | None = None
+        self.override: Callable[[], Moment] | None = None
         self.caption = ""
         self.shown = self.now()
 
     @property
     def live(self) -> bool:
         """Whether the session itself is shown."""
-        return self.instead is None
+        return self.override is None
 
     def now(self) -> Moment:
-        """What to show now."""
-        instead = self.instead
-        if instead is not None:
-            self.shown = instead()
+        """The newest state to show."""
+        override = self.override  # another thread may clear it
+        if override is not None:
+            self.shown = override()
         else:
             session = self._session
-            # Telemetry first: what it refers to is in force by then, or will be.
+            # Telemetry is read first, so that the scene is not older than the tick.
             telemetry = session.latest()
             scene, master, crossing = session.scene, session.master, session.crossing
             by_script = telemetry.autopilot and telemetry.target is not None

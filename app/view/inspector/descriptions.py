@@ -1,4 +1,4 @@
-"""What the inspector says, as HTML made from an inspection. Pure functions."""
+"""Texts of the inspector, as HTML. Pure functions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.view import palette
-from app.view.fixture import LEANING
+from app.view.fixture import MIN_PUSH
 from app.view.inspector.compare import Forecasts
 from app.view.inspector.inspection import Inspection, Subject
 from vf import Cover, Edge, Feature, Rule, TriangleReport, Verdict
@@ -53,7 +53,7 @@ _SHORT = {
 
 
 def reason(report: TriangleReport, subject: Subject) -> str:
-    """Why the paper's conditions took a triangle or passed it over, in a sentence or two."""
+    """Why the paper's conditions gave a triangle a plane, or none."""
     it = "its closest point"
     corner = report.feature >= Feature.VERTEX_0
     on = "in a corner" if corner else "on an edge"
@@ -92,12 +92,12 @@ def reason(report: TriangleReport, subject: Subject) -> str:
             return "Passed over: the triangle has no area, so it has no normal."
     beyond = report.distance - subject.radius - subject.options.tip_radius
     if beyond > 0.0:
-        return f"Not asked: {beyond * 1e3:.2f} mm beyond the motion sphere."
-    return "Not examined: more triangles than the inspector looks at are nearer."
+        return f"Not examined: {beyond * 1e3:.2f} mm beyond the motion sphere."
+    return "Not examined: too many triangles are nearer."
 
 
 def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
-    """What the certified rule made of a triangle, in a sentence."""
+    """Why the certified rule gave a triangle a plane, or none."""
     subject, explanation = inspection.subject, inspection.explanation
     match report.cover:
         case Cover.GAVE:
@@ -112,12 +112,12 @@ def certified_reason(report: TriangleReport, inspection: Inspection) -> str:
         case Cover.BEHIND_SEVERAL:
             return "Needs none: its part in the sphere is behind the planes taken together."
     if explanation.inside:
-        return "Not asked: the tool is inside, so there is one plane only, towards the way out."
-    return "Not judged: outside the sphere in which the planes are valid."
+        return "Not examined: the tool is inside, so the planes only lead towards the way out."
+    return "Not examined: outside the sphere in which the planes are valid."
 
 
 def triangle(inspection: Inspection, chosen: int) -> str:
-    """All about one triangle."""
+    """The report on one triangle."""
     subject, explanation = inspection.subject, inspection.explanation
     if chosen < 0:
         return _box("No triangle in the motion sphere. Click one, or move nearer.")
@@ -140,7 +140,7 @@ def triangle(inspection: Inspection, chosen: int) -> str:
     head = (
         f"<div style='{_BOX};margin-bottom:.2em'><span class='vf-triangle' "
         f"data-triangle='{chosen}' style='display:inline-block;padding:1px 8px;border-radius:3px;"
-        f"font-weight:600;color:{_on(state.color)};background:{palette.css(state.color)}'>"
+        f"font-weight:600;color:{_text_color(state.color)};background:{palette.css(state.color)}'>"
         f"{html.escape(subject.name(chosen))}</span> <span style='{_SMALL}'>{rank}</span></div>"
     )
     verdict = (
@@ -155,15 +155,15 @@ def triangle(inspection: Inspection, chosen: int) -> str:
 
 
 def nearest(inspection: Inspection, chosen: int) -> str:
-    """The nearest triangles, one a line, and how many there are of each kind."""
+    """The list of the nearest triangles, and the number of each state."""
     subject, explanation = inspection.subject, inspection.explanation
     first = max(0, min(explanation.row(chosen) - NEAREST // 2, len(explanation) - NEAREST))
     lines = []
     for report in explanation[first : first + NEAREST]:
         state = palette.TRIANGLE_STATES[state_of(report)]
-        push, _ = inspection.leaning(report.triangle)
+        push, _ = inspection.push(report.triangle)
         mark = "background:var(--vf-plate);font-weight:600" if report.triangle == chosen else ""
-        pushes = " ◀" if push > LEANING else ""
+        pushes = " ◀" if push > MIN_PUSH else ""
         lines.append(
             f"<tr style='{mark}'><td style='padding:0 4px 0 0'>"
             f"<span style='color:{palette.css(state.color)}'>■</span> "
@@ -178,14 +178,14 @@ def nearest(inspection: Inspection, chosen: int) -> str:
             f"{explanation.total:,} triangles are examined and drawn.</div>"
         )
     wall = float(inspection.multipliers[inspection.planes.rules == Rule.CORRIDOR].sum())
-    if wall > LEANING:
+    if wall > MIN_PUSH:
         note += f"<div>The corridor’s wall pushes the tool back by {wall * 1e3:.3f} mm.</div>"
     table = "<table style='width:100%;border-collapse:collapse;font-size:11.5px'>"
     return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
 
 
 def comparison(compared: Forecasts) -> str:
-    """The rules side by side: columns are rules, as there are fewer of them than lines fit."""
+    """Table of the forecasts, one column per rule."""
     forecasts, x = compared.of, compared.x
     cell = "padding:0 0 0 4px;text-align:right;white-space:nowrap"
 
@@ -199,7 +199,7 @@ def comparison(compared: Forecasts) -> str:
         line("planes", [f"{t.planes:,}" for t in forecasts], "how many half-spaces"),
         line(
             "leak",
-            [_alarm(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
+            [_highlight(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
             "share of the surface in the sphere on the allowed side of every plane (sampled)",
         ),
         line(
@@ -217,7 +217,7 @@ def comparison(compared: Forecasts) -> str:
             ),
             line(
                 "end gap, µm",
-                [_alarm(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
+                [_highlight(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
                 "from where it would go to the surface",
             ),
         ]
@@ -241,7 +241,7 @@ def comparison(compared: Forecasts) -> str:
 
 
 def region(inspection: Inspection) -> str:
-    """How much of the sphere is allowed."""
+    """The allowed share of the sphere."""
     solid = inspection.region
     if solid is None:
         return ""
@@ -253,19 +253,19 @@ def region(inspection: Inspection) -> str:
 
 
 def state_of(report: TriangleReport) -> palette.TriangleState:
-    """Which colour a triangle has."""
+    """State of a triangle, which gives its colour."""
     return STATES[int(states(np.array([report.verdict]), np.array([report.cover]))[0])]
 
 
 def states(verdicts: NDArray[np.int8], covers: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Places in `STATES` of triangles with these verdicts and covers (k,)."""
+    """Indices into `STATES` of triangles with these verdicts and covers (k,)."""
     found = _BY_VERDICT[verdicts]
     only = (found == STATES.index(palette.TriangleState.INACTIVE)) & (covers == Cover.GAVE)
     return np.where(only, STATES.index(palette.TriangleState.CERTIFIED), found).astype(np.int8)
 
 
 def _plane(inspection: Inspection, report: TriangleReport) -> str:
-    """The plane in force under this triangle, and whether the QP leans on it."""
+    """The plane of a triangle in force, and how far it pushed the tip back."""
     subject, planes = inspection.subject, inspection.planes
     under = report.triangle
     rows = np.flatnonzero(planes.triangles == under)
@@ -280,8 +280,8 @@ def _plane(inspection: Inspection, report: TriangleReport) -> str:
     slack = float(planes.slack(subject.x)[k])
     text = f"Plane (rule {subject.rule}): n = ({normal}), {slack * 1e3:.3f} mm from here."
     if subject.step is not None:
-        push, share = inspection.leaning(under)
-        if push > LEANING:
+        push, share = inspection.push(under)
+        if push > MIN_PUSH:
             most = " It blocks the way." if push == inspection.multipliers.max() else ""
             strong = f"The QP leans on it: pushed back by {push * 1e3:.3f} mm, {share:.0%}.{most}"
             text += f"<br><b>{strong}</b>"
@@ -315,13 +315,13 @@ def _percent(share: float) -> str:
     return f"{share:.0%}" if share == 0.0 or share >= 0.01 else "<1%"
 
 
-def _alarm(text: str, on: bool) -> str:
+def _highlight(text: str, on: bool) -> str:
     color = palette.css(palette.VERMILION)
     return f"<b style='color:{color}'>{text}</b>" if on else text
 
 
-def _on(color: palette.Rgb) -> str:
-    """Black or white, whichever is read more easily on a colour."""
+def _text_color(color: palette.Rgb) -> str:
+    """Black or white, whichever has more contrast to a colour."""
     return "#000" if 0.3 * color[0] + 0.59 * color[1] + 0.11 * color[2] > 120 else "#fff"
 
 

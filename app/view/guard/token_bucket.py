@@ -1,12 +1,12 @@
-"""How often something may happen: on average, and at once."""
+"""A rate limit."""
 
 from __future__ import annotations
 
 import time
 
 
-class Allowance:
-    """A token bucket: `rate` per second on average, `burst` at once."""
+class TokenBucket:
+    """A token bucket: `rate` [1/s] on average, `burst` at once."""
 
     def __init__(self, rate: float, burst: float) -> None:
         self._rate, self._burst = rate, burst
@@ -14,15 +14,15 @@ class Allowance:
         self._since = time.monotonic()
 
     def take(self) -> bool:
-        """Whether there is one left to take."""
+        """Take one token; whether there was one."""
         self._refill()
         if self._left < 1.0:
             return False
         self._left -= 1.0
         return True
 
-    def owe(self, amount: float) -> float:
-        """Take in any case; for how long to wait until that is made up for [s]."""
+    def charge(self, amount: float) -> float:
+        """Take tokens, below zero if need be; the time until the bucket is back at zero [s]."""
         self._refill()
         self._left -= amount
         return max(0.0, -self._left / self._rate)

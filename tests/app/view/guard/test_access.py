@@ -1,4 +1,4 @@
-"""Strangers at the door: other names, other sites, no token. Each is refused."""
+"""Requests that are refused: other host names, other sites, no token."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
 from app.view import Page, guard
-from app.view.guard.door import COOKIE
+from app.view.guard.access import COOKIE
 from tests.support.clients import asked, joined
 
 
@@ -19,9 +19,7 @@ from tests.support.clients import asked, joined
     "host",
     ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "192.168.1.7", "a@127.0.0.1"],
 )
-def test_a_name_that_was_rebound_to_this_machine_is_refused(
-    page: Page, host: str, upgrade: bool
-) -> None:
+def test_dns_rebinding_is_refused(page: Page, host: str, upgrade: bool) -> None:
     assert asked(page, upgrade=upgrade, Host=host)[0] == 421
 
 
@@ -42,7 +40,7 @@ def test_the_page_s_own_requests_pass(page: Page, host: str) -> None:
     assert asked(page, Host="localhost:9000", upgrade=True)[0] == 101, "through ssh -L"
 
 
-def test_a_hijacked_websocket_is_refused_by_a_real_handshake(page: Page) -> None:
+def test_a_websocket_from_another_site_is_refused(page: Page) -> None:
     with pytest.raises(InvalidStatus), joined(page, origin=Origin("http://evil.example")):
         pass
     with joined(page, origin=Origin(f"http://127.0.0.1:{page.port}")) as socket:
@@ -59,15 +57,15 @@ def test_no_other_site_may_frame_the_page(page: Page) -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "127.1.2.3"])
-def test_this_machine_alone_needs_no_token(host: str) -> None:
+def test_a_loopback_host_has_no_token(host: str) -> None:
     assert guard.token_for(host) is None
 
 
-def test_a_token_lets_in_and_nothing_else_does(open_page: Page) -> None:
+def test_access_needs_the_token(open_page: Page) -> None:
     page = open_page
     token = page.url.partition("/?token=")[2]
     assert len(token) >= 32
-    assert token != guard.token_for("0.0.0.0"), "each start has its own"
+    assert token != guard.token_for("0.0.0.0"), "each start has another token"
     for upgrade in (False, True):
         for path in (
             "/",
@@ -103,7 +101,7 @@ def test_a_token_lets_in_and_nothing_else_does(open_page: Page) -> None:
     ],
     ids=lambda path: path[:12] + str(len(path)),
 )  # fmt: skip
-def test_whatever_the_path_it_is_no_error_of_the_server(path: str, page: Page) -> None:
+def test_no_path_causes_a_server_error(path: str, page: Page) -> None:
     with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as wire:
         wire.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode("latin-1"))
         answer = b""

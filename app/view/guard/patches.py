@@ -1,7 +1,6 @@
-"""What of viser is mended from outside: its senders' sleep, and its way to the public.
+"""Changes to viser from outside: a lost wake-up is fixed, sharing is disabled.
 
-All of that, and the rest of the guard, hangs on insides of viser and websockets: `check` looks
-whether they are there.
+`check_internals` verifies that the internals used by this package exist.
 """
 
 from __future__ import annotations
@@ -23,60 +22,60 @@ from app.view.guard.messages import INBOUND
 SHARE = ("ShareUrlRequest", "ShareUrlDisconnect")
 
 
-class Unguarded(RuntimeError):
-    """viser or websockets is not what this package knows how to guard."""
+class GuardError(RuntimeError):
+    """The installed viser or websockets cannot be guarded, or sharing was requested."""
 
 
-class WakeUp(asyncio.Event):
-    """Wakes those who send what is in a buffer, and is deaf outside of their event loop.
+class LoopEvent(asyncio.Event):
+    """An event that is set on its event loop only.
 
-    `AsyncMessageBuffer.push` sets its event from whatever thread calls it, then once more in the
-    loop. If the first falls between a sender's look at the event and its falling asleep, the second
-    finds the event set already and wakes nobody, nor does any later one: the page stands still.
+    `AsyncMessageBuffer.push` sets its event on the calling thread, then once more on the loop. If
+    the first call falls between a sender's test of the event and its registration as a waiter, the
+    event is set already at the second call, which then wakes no waiter: no message is sent again.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
-        self._home = loop
+        self._loop_of_waiters = loop
 
     def set(self) -> None:
-        """Wake them if this is their loop; otherwise leave it to the call that will be."""
-        if asyncio._get_running_loop() is self._home:
+        """Set the event; does nothing on another thread, as a call on the loop follows."""
+        if asyncio._get_running_loop() is self._loop_of_waiters:
             super().set()
 
 
 @functools.cache
-def wake_in_the_loop() -> None:
-    """Give every buffer of viser's a `WakeUp`."""
-    theirs = AsyncMessageBuffer.__init__
+def patch_message_events() -> None:
+    """Give every message buffer of viser a `LoopEvent`."""
+    original = AsyncMessageBuffer.__init__
 
-    @functools.wraps(theirs)
-    def ours(self: AsyncMessageBuffer, *arguments: Any, **keywords: Any) -> None:
-        theirs(self, *arguments, **keywords)
-        self.message_event = WakeUp(self.event_loop)
+    @functools.wraps(original)
+    def patched(self: AsyncMessageBuffer, *arguments: Any, **keywords: Any) -> None:
+        original(self, *arguments, **keywords)
+        self.message_event = LoopEvent(self.event_loop)
 
-    AsyncMessageBuffer.__init__ = ours  # type: ignore[method-assign]
+    AsyncMessageBuffer.__init__ = patched  # type: ignore[method-assign]
 
 
-def never_share(server: viser.ViserServer) -> None:
-    """Take away the way to viser's tunnel, from clients and from ourselves."""
+def disable_sharing(server: viser.ViserServer) -> None:
+    """Remove viser's public tunnel, for clients and for this program."""
     connection = server._websock_server
     for kind in SHARE:
         connection.unregister_handler(getattr(wire, kind))
 
     def refuse(*_: object, **__: object) -> str | None:
-        raise Unguarded("this page is not shared with the public")
+        raise GuardError("this page is not shared with the public")
 
     server.request_share_url = refuse  # type: ignore[method-assign]
     if server._share_tunnel is not None:
-        raise Unguarded("viser has opened a tunnel unasked")
+        raise GuardError("viser has opened a tunnel")
 
 
-def check() -> None:
-    """Fail at the start rather than be open.
+def check_internals() -> None:
+    """Verify viser's and websockets' internals at the start.
 
     Raises:
-        Unguarded: naming what is missing.
+        GuardError: something is missing; the message names it.
     """
     wanted: list[tuple[object, str]] = [
         *((wire, kind) for kind in (*INBOUND, *SHARE)),
@@ -102,7 +101,7 @@ def check() -> None:
         if name not in taken
     ]
     if missing:
-        raise Unguarded(
+        raise GuardError(
             f"viser {viser.__version__} with websockets {websockets.__version__} cannot be "
             f"guarded: {', '.join(missing)} missing"
         )

@@ -1,4 +1,4 @@
-"""Who is who: each client's number and colour, and which of them has the proxy."""
+"""Name and colour of each client, and the line that tells a client who drags the proxy."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from app.recording.playback import Moment
 from app.view import palette
 from app.view.part import Clients, Part
 
-# Told apart by people with any colour blindness; the number says the same.
+# Distinct with any of the common colour blindnesses; the number identifies a client as well.
 COLORS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.SKY, palette.BLACK)
 
 
 def name(client_id: int) -> str:
-    """What a client is called on everybody's page."""
+    """A client's name on all pages."""
     return f"client {client_id + 1}"
 
 
 def color(client_id: int) -> palette.Rgb:
-    """The client's colour; the seventh has the first one's again."""
+    """A client's colour; six colours in turn."""
     return COLORS[client_id % len(COLORS)]
 
 
 def line(client_id: int, owner: int | None, clients: int) -> str:
-    """HTML of what one client is told about the others and itself; empty if it is all alone.
+    """HTML line for one client: its name and who drags the proxy; empty for a single client.
 
     Args:
-        client_id: who reads it.
-        owner: who drags the proxy, if anybody.
-        clients: how many there are.
+        client_id: the client that reads it.
+        owner: the client that drags the proxy, or None.
+        clients: number of clients.
     """
     if clients < 2:
         return ""
@@ -51,32 +51,31 @@ def _badge(client_id: int) -> str:
     return f"<b style='color:{palette.css(color(client_id))}'>■</b> <b>{name(client_id)}</b>"
 
 
-class Who(Part):
-    """A line of its own on each client's panel. Called from the view thread only."""
+class ClientLines(Part):
+    """The line on each client's panel."""
 
     def __init__(self, owner: Callable[[], int | None], order: float) -> None:
-        """`owner`: who drags the proxy; `order`: where in the panel the line stands."""
+        """`owner` returns the client that drags the proxy; `order`: position in the panel."""
         self._owner = owner
         self._order = order
         self._lines: dict[int, viser.GuiHtmlHandle] = {}
 
-    def told(self, client_id: int) -> str:
-        """What that client's line says."""
+    def text(self, client_id: int) -> str:
+        """The line of one client, as HTML."""
         shown = self._lines.get(client_id)
         return "" if shown is None else str(shown.content)
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        """Bring every client's line up to date; writes only what changed."""
         owner = self._owner()
         for gone in self._lines.keys() - clients.keys():
             del self._lines[gone]
         for client_id, client in clients.items():
             text = line(client_id, owner, len(clients))
-            told = self._lines.get(client_id)
-            # A client may vanish at any moment; it is gone from the list the next time.
+            shown_line = self._lines.get(client_id)
+            # The client may disconnect meanwhile; the next frame drops its line.
             with contextlib.suppress(Exception):
-                if told is None:
+                if shown_line is None:
                     if text:
                         self._lines[client_id] = client.gui.add_html(text, order=self._order)
-                elif told.content != text:
-                    told.content = text
+                elif shown_line.content != text:
+                    shown_line.content = text

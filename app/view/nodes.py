@@ -1,0 +1,38 @@
+"""Nodes of the scene that are created hidden and receive their geometry later."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.view.palette import Rgb
+
+
+def mesh(api: viser.SceneApi, name: str, color: Rgb, **more: Any) -> viser.MeshHandle:
+    """A hidden two-sided mesh without shadows; a node needs at least one triangle."""
+    shape = {"vertices": np.zeros((3, 3)), "faces": np.array([[0, 1, 2]], dtype=np.uint32)}
+    return api.add_mesh_simple(
+        name,
+        **{**shape, **more},
+        color=color,
+        side="double",
+        cast_shadow=False,
+        receive_shadow=False,
+        visible=False,
+    )
+
+
+def lines(
+    api: viser.SceneApi, name: str, thickness: float, color: Rgb | None = None, count: int = 1
+) -> viser.LineSegmentsHandle:
+    """`count` hidden segments, `thickness` [px]; without a color each has one of its own."""
+    return api.add_line_segments(
+        name,
+        points=np.zeros((count, 2, 3), dtype=np.float32),
+        colors=np.zeros((count, 2, 3), dtype=np.uint8) if color is None else color,
+        thickness=thickness,
+        thickness_units="screen",
+        visible=False,
+    )

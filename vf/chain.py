@@ -1,0 +1,87 @@
+"""Kinematics of a serial arm, compiled: the pose of its tip and the Jacobian there.
+
+A chain is one array (k + 1, 14): a row for each of the k joints between base and tip, from the
+base outwards, and a last one for the tip. A row says where its frame stands in the frame of the row
+before it, whose joint has moved (`ROTATION`, row by row, and `TRANSLATION` [m]), whether its joint
+turns or slides (`REVOLUTE`: 1 or 0) and which entry of the joint vector moves it (`JOINT`). Every
+joint moves about or along the z axis of its frame: other axes are turned there beforehand.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vf.kernels import njit
+
+ROTATION, TRANSLATION, REVOLUTE, JOINT = 0, 9, 12, 13
+LINK = 14  # numbers of a row
+
+
+@njit(cache=True)
+def tip_pose(chain, q, pose, axes):  # type: ignore[no-untyped-def]
+    """Pose of the tip for the joint positions q (n,) [rad or m].
+
+    Args:
+        pose: (3, 4) written: rotation and position, base frame.
+        axes: (k, 6) written: direction and a point [m] of every joint's axis, base frame.
+    """
+    r00 = r11 = r22 = 1.0
+    r01 = r02 = r10 = r12 = r20 = r21 = 0.0
+    x = y = z = 0.0
+    last = chain.shape[0] - 1
+    for i in range(last + 1):
+        link = chain[i]
+        x += r00 * link[9] + r01 * link[10] + r02 * link[11]
+        y += r10 * link[9] + r11 * link[10] + r12 * link[11]
+        z += r20 * link[9] + r21 * link[10] + r22 * link[11]
+        a00 = r00 * link[0] + r01 * link[3] + r02 * link[6]
+        a01 = r00 * link[1] + r01 * link[4] + r02 * link[7]
+        r02 = r00 * link[2] + r01 * link[5] + r02 * link[8]
+        a10 = r10 * link[0] + r11 * link[3] + r12 * link[6]
+        a11 = r10 * link[1] + r11 * link[4] + r12 * link[7]
+        r12 = r10 * link[2] + r11 * link[5] + r12 * link[8]
+        a20 = r20 * link[0] + r21 * link[3] + r22 * link[6]
+        a21 = r20 * link[1] + r21 * link[4] + r22 * link[7]
+        r22 = r20 * link[2] + r21 * link[5] + r22 * link[8]
+        r00, r01, r10, r11, r20, r21 = a00, a01, a10, a11, a20, a21
+        if i == last:
+            break
+        axes[i, 0], axes[i, 1], axes[i, 2] = r02, r12, r22
+        axes[i, 3], axes[i, 4], axes[i, 5] = x, y, z
+        value = q[int(link[JOINT])]
+        if link[REVOLUTE] > 0.0:
+            c, s = np.cos(value), np.sin(value)
+            r00, r01 = a00 * c + a01 * s, a01 * c - a00 * s
+            r10, r11 = a10 * c + a11 * s, a11 * c - a10 * s
+            r20, r21 = a20 * c + a21 * s, a21 * c - a20 * s
+        else:
+            x += r02 * value
+            y += r12 * value
+            z += r22 * value
+    pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3] = r00, r01, r02, x
+    pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3] = r10, r11, r12, y
+    pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3] = r20, r21, r22, z
+
+
+@njit(cache=True)
+def jacobian(chain, axes, x, y, z, J):  # type: ignore[no-untyped-def]
+    """Jacobian (6, n), written, of the point (x, y, z) that moves with the last joint.
+
+    Linear rows first, along the base frame's axes; a joint that does not move it has a column of
+    zeros.
+
+    Args:
+        axes: as `tip_pose` leaves them.
+    """
+    J[:] = 0.0
+    for i in range(chain.shape[0] - 1):
+        j = int(chain[i, JOINT])
+        ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]
+        if chain[i, REVOLUTE] > 0.0:
+            dx, dy, dz = x - axes[i, 3], y - axes[i, 4], z - axes[i, 5]
+            J[0, j] = ay * dz - az * dy
+            J[1, j] = az * dx - ax * dz
+            J[2, j] = ax * dy - ay * dx
+            J[3, j], J[4, j], J[5, j] = ax, ay, az
+        else:
+            J[0, j], J[1, j], J[2, j] = ax, ay, az

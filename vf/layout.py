@@ -1,0 +1,162 @@
+"""Names of what stands where in the arrays that kernels share.
+
+A plane is a row of `PLANE` numbers, whoever made it and whoever reads it. All that a tick works
+with is one block (`vf.block`): `words` (integers: counts, codes, and the addresses of the parts),
+and the parts, arrays of numbers. What a tick has to say is the part `REPORT`, and the planes
+directly behind it.
+"""
+
+from __future__ import annotations
+
+# A plane n·y ≥ o: the record (PLANE,) that fixtures write.
+NORMAL = 0  # three numbers
+OFFSET = 3  # [m]
+FLOOR = 4  # what the tip's path must not sink below [m], see `Planes.floors`
+FOOT = 5  # three numbers: the closest point that gave the plane [m]
+TRIANGLE = 8  # the caller's index; −1: none
+RULE = 9  # a `vf.Rule`
+FIXTURE = 10  # number of the fixture that the plane is of
+CAPSULE = 11  # number of the body of the instrument that it holds; 0: the tip
+POINT = 12  # number of the guarded point that must obey it, a row of `PLACES`
+PUSH = 13  # how far the plane pushed the tip back [m]
+LIMIT = 14  # while planes are chosen: a mesh point z is behind when n·z is below this [m], …
+BUMP = 15  # … of which this is for bumps [m]
+PLANE = 16
+
+# The words of a block: counts …
+JOINTS = 0  # n
+ROOM = 1  # planes there is room for
+LINKS = 2  # rows of the chain; 0: the arm answers itself
+FIXTURES = 3
+POINTS = 4  # guarded points
+# … the state of a tick that is not done …
+STAGE = 5  # see `WHOLE`
+TRIES = 6  # in this stage
+COUNT = 7  # planes
+LEFT = 8  # rows left for the solver
+SOLVER = 9  # a `vf.Solver`: of the last problem …
+FOUND_BY = 10  # … and of the optimum
+INSIDE = 11  # 1: the tip is inside of something
+ANSWER = 12  # what was answered to a question: a `vf.Solver`, or 1 for yes
+# … and the addresses of its parts.
+CHAIN = 16  # (LINKS, chain.LINK)
+AXES = 17  # (LINKS, 6) of the joints
+NUMBERS = 18  # (SCALARS,) see below
+TABLE = 19  # (JOINT_ROWS, n) see below
+JACOBIAN = 20  # (6, n) of the tip at the start
+JACOBIANS = 21  # (POINTS, 3, n) linear, of the guarded points
+PLACES = 22  # (POINTS, 3) guarded points at the start [m]
+TRIALS = 23  # (POINTS, 3) at the joint positions that are tried [m]
+ERRORS = 24  # (POINTS, 3) by what the linear motion missed [m]
+BULGES = 25  # (POINTS,) how far paths may leave their chords [m]
+START = 26  # (3, 4) pose of the tip at the start, …
+GOAL = 27  # … of the target, …
+TIP = 28  # … at the joint positions that are tried, …
+BEST = 29  # … and at the best of them
+PLANES = 30  # (ROOM, PLANE)
+ROWS = 31  # (ROOM, n) the planes' rows G
+BOUNDS = 32  # (ROOM,) b of G Δq ≥ b [m]
+OTHER_BOUNDS = 33  # (ROOM,) of another attempt [m]
+MULTIPLIERS = 34  # (ROOM,) of the last problem [m]
+SCRATCH = 35  # of the solver, see `qp_kernels.carve`
+SCRATCH_SIZE = 36  # not an address
+SOLUTION = 37  # (n,) of the solver asked: u
+DUALS = 38  # one for each row left for it
+QUEUE = 39  # (cover.HEAP, 2) of the walk
+POLYGONS = 40  # (2, cover.CORNERS, 3) of the walk
+SEARCHES = 41  # (FIXTURES, SEARCH) integers: what each fixture is and where
+SIDES = 42  # (FIXTURES, SIDE) numbers of each fixture
+REPORT = 43  # (HEAD + 2 n,) see below
+WORDS = 44
+
+# NUMBERS: settings …
+STANDOFF = 0  # [m]
+TIP_RADIUS = 1  # [m]
+LENGTH = 2  # weighs rotation against translation [m/rad]
+DAMPING = 3  # [m²]
+GAIN = 4  # [N/m]
+CAP = 5  # [N]
+TIP_REACH = 6  # the tip's longest step [m]
+GUARDED = 7  # 1: a fixture promises something of the path
+ASKED = 8  # motion sphere that the fixtures ask for [m]; 0: none does
+SAGITTA = 9  # what a step at full speed leaves its chord by [m]
+BEYOND = 10  # the ball searched reaches that far beyond the motion sphere [m]
+# … and state.
+RADIUS = 11  # of the motion sphere [m]
+SEARCHED = 12  # ball searched [m]
+REACH = 13  # ball that the planes are valid in [m]
+ALLOWED = 14  # what is allowed of the motion sphere [m]
+FARTHEST = 15  # what path and step must keep to [m]
+LONGEST = 16  # step of the tip [m]
+DISTANCE = 17  # of the nearest plane's foot [m]
+DEFICIT = 18  # to the standoff, the worst [m]
+PACED = 19  # share of the solver's step that fits into a tick
+SHARE = 20  # of the optimum that is tried
+LOW = 21  # bisection
+HIGH = 22
+BEST_SHARE = 23
+DESIRED = 24  # six numbers: the desired step [m]
+MARKS = 30  # five times [s]: start, kinematics, planes, QP, end
+SCALARS = 36
+
+# Rows of TABLE, each (n,) …
+TASK = 0  # six rows
+LOWER, UPPER = 6, 7  # bounds of the step of this tick
+LOWEST, HIGHEST = 8, 9  # position limits
+SPEED = 10  # the longest step in a tick
+HORIZON = 11  # and as far as the optimum is sought
+TURNS = 12  # 1 for a revolute joint, else 0
+POSITION = 13  # q
+TRIAL = 14  # joint positions that are tried
+CHOSEN = 15  # the best of them
+STEP = 16  # the step that shorter ones are parts of
+OTHER = 17  # the step of a second optimum
+JOINT_ROWS = 18
+
+# What a fixture is: integers.
+KIND = 0  # see `GIVEN`
+NODES, NODE_COUNT = 1, 2  # of the tree: address of (k, 16)
+CORNERS, TRIANGLES = 3, 4  # address of (m, 9)
+ORDER, SLIVERS, EDGES = 5, 6, 7  # addresses of (m,), (m,), (m, 3)
+WALLS, WALL_COUNT = 8, 9  # of a corridor: address of (w, corridor.WALL)
+FRAME = 10  # of a corridor: address of its axes (2, 3), its width and its hair
+KEEPS = 11  # 1: a checked step stays on its side
+SEARCH = 12
+
+# Numbers of a fixture.
+SEEN = 0  # three numbers: where in its frame the tip is of which the side is known [m]; nan: none
+WITHIN = 3  # 1: inside there, 0: outside
+SIDE = 4
+
+# REPORT: what became of a tick. `REPORTED_Q` and `REPORTED_LIMITS` are (n,) each, then the planes.
+REPORT_STATUS, REPORT_SOLVER, REPORT_RADIUS, REPORT_ALLOWED, REPORT_DISTANCE = 0, 1, 2, 3, 4
+REPORT_MARKS = 5  # five times [s]
+REPORT_FORCE = 10  # three numbers [N]
+REPORT_TIP = 13  # (3, 4)
+HEAD = 25
+
+
+# What a fixture is to the kernels (KIND).
+GIVEN = 0  # Python gives its planes
+MESH = 1  # a tree of triangles, certified
+WALLED = 2  # a corridor
+
+# Where a tick goes on. What only Python can answer it asks by the phase to go on with.
+BEGIN = 0
+PLACED = 1  # asked: START and JACOBIAN
+SIDED = 2  # asked: WITHIN of every fixture
+FOUND = 3  # asked: the planes of all fixtures, COUNT and REACH
+SOLVED = 4  # asked: the solution of the problem in SCRATCH
+TRIED = 5  # asked: TIP for the joints at TRIAL
+JUDGED = 6  # asked: whether the step to TRIALS leads out
+# Other answers: a tick that is done answers the number of its planes, 0 or more.
+NO_TARGET = 7  # the target is of no use
+NO_JOINTS = 8  # the joint positions are of no use
+DONE = 9  # not an answer: there is nothing more to try
+
+# Which step a tick tries (STAGE).
+WHOLE = 0  # the optimum, shortened to what fits into a tick
+RELAXED = 1  # the same, but nothing is asked for: it was more than the joints can do
+SHORTER = 2  # a little less of it
+CORRECTED = 3  # the optimum with rows moved by the linearisation error just seen
+PART = 4  # by bisection
