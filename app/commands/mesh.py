@@ -228,7 +228,11 @@ def _check(options: Check) -> int:
         about = {"mesh": options.mesh, "unit": unit, "frame": frame, "notes": notes}
         print(json.dumps({**about, **report.as_dict()}, indent=1))
     else:
-        told = "of no patient" if options.mesh in meshes.catalogue() else meshes.told(frame)
+        told = (
+            "of no patient"
+            if options.mesh in meshes.catalogue()
+            else meshes.frame_description(frame)
+        )
         _print_report(new_console(), options.mesh, report, told)
     return SOUND if report.sound else DEFECTS
 
@@ -296,8 +300,7 @@ def _repair(options: Repair) -> int:
 def _from_volume(options: FromVolume) -> int:
     import numpy as np
 
-    from meshes import volume
-    from meshes.frames import told
+    from meshes import frame_description, volume
     from meshes.save import check_writable, save
 
     if options.level is not None and options.label is not None:
@@ -311,7 +314,8 @@ def _from_volume(options: FromVolume) -> int:
             field, level = volume.one_label(grid, options.label), volume.MIDDLE
         if level is None:
             raise OptionError(
-                f"{options.source}: give --level, or --label for a label map: {volume.told(grid)}"
+                f"{options.source}: give --level, or --label for a label map: "
+                f"{volume.describe_values(grid)}"
             )
         vertices, faces = volume.surface(
             field, level, smooth=options.smooth, largest=options.largest, progress=say
@@ -328,7 +332,7 @@ def _from_volume(options: FromVolume) -> int:
     console.print(f"read: {escape(options.source)}, {shape} voxels of {spacing} mm", soft_wrap=True)
     console.print(
         f"written: {escape(options.out)}, {count(len(faces), 'triangle')}, {size} mm, in {unit}, "
-        + (told(grid.frame) if grid.frame else "left and right a guess"),
+        + (frame_description(grid.frame) if grid.frame else "left and right a guess"),
         soft_wrap=True,
     )
     return SOUND
