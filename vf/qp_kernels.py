@@ -20,13 +20,13 @@ PROJECTED = int(Solver.PROJECTED)
 
 def scratch_size(n: int, rows: int) -> int:
     """Length of the scratch for n joints and that many rows, the joints' bounds among them."""
-    return n * n + 3 * n + rows * (n + EXTRA)
+    return 2 * (n * n + 3 * n) + rows * (n + EXTRA)
 
 
 @njit(cache=True, inline="always")
 def carve(scratch, n):  # type: ignore[no-untyped-def]
     """Parts: factor (n, n), best, x, dq (n,), rows (r, n), bounds, scales, y, origin (r,)."""
-    rows = (scratch.shape[0] - n * n - 3 * n) // (n + EXTRA)
+    rows = (scratch.shape[0] - 2 * (n * n + 3 * n)) // (n + EXTRA)
     a = n * n
     b = a + 3 * n
     c = b + rows * n
@@ -40,6 +40,19 @@ def carve(scratch, n):  # type: ignore[no-untyped-def]
         scratch[c + rows : c + 2 * rows],
         scratch[c + 2 * rows : c + 3 * rows],
         scratch[c + 3 * rows : c + 4 * rows],
+    )
+
+
+@njit(cache=True, inline="always")
+def carve_rest(scratch, n):  # type: ignore[no-untyped-def]
+    """What `settle` works in: gram (n, n), c, u and active (n,)."""
+    a = scratch.shape[0] - n * n - 3 * n
+    b = a + n * n
+    return (
+        scratch[a:b].reshape((n, n)),
+        scratch[b : b + n],
+        scratch[b + n : b + 2 * n],
+        scratch[b + 2 * n : b + 3 * n],
     )
 
 
@@ -181,7 +194,7 @@ def mark_worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped-def]
+def settle(best, rows, bounds, count, changes, x, y, scratch):  # type: ignore[no-untyped-def]
     """Project u* on the active rows (y < 0), all at once, and take that if it is the optimum.
 
     It is when it obeys every row and every multiplier has the right sign; then x and y are exact
@@ -189,10 +202,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
     sign leaves the active ones, or else the most broken row joins them.
     """
     n = best.shape[0]
-    active = np.empty(n, dtype=np.int64)
-    gram = np.empty((n, n))
-    c = np.empty(n)
-    u = np.empty(n)
+    gram, c, u, active = carve_rest(scratch, n)
     k = 0
     for _ in range(n):  # the n largest multipliers, largest first
         row = -1
@@ -210,14 +220,14 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
     for _ in range(changes + 1):
         a = 0
         while a < k:
-            h = bounds[active[a]]
+            h = bounds[int(active[a])]
             for j in range(n):
-                h -= rows[active[a], j] * best[j]
+                h -= rows[int(active[a]), j] * best[j]
             c[a] = h
             for b in range(a + 1):
                 h = 0.0
                 for j in range(n):
-                    h += rows[active[a], j] * rows[active[b], j]
+                    h += rows[int(active[a]), j] * rows[int(active[b]), j]
                 for r in range(b):
                     h -= gram[a, r] * gram[b, r]
                 gram[a, b] = h if a == b else h / gram[b, b]
@@ -246,7 +256,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
         for j in range(n):
             u[j] = best[j]
             for a in range(k):
-                u[j] += c[a] * rows[active[a], j]
+                u[j] += c[a] * rows[int(active[a]), j]
         row = -1
         worst = 1e-9
         for i in range(count):
@@ -260,7 +270,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
             x[:] = u
             y[:count] = 0.0
             for a in range(k):
-                y[active[a]] = -c[a]
+                y[int(active[a])] = -c[a]
             return True
         if k == n:
             return False
@@ -288,7 +298,7 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
         dq[:] = 0.0
         return INFEASIBLE, 0
     mark_worst(best, rows, bounds, count, y)
-    if settle(best, rows, bounds, count, 0, x, y):
+    if settle(best, rows, bounds, count, 0, x, y, scratch):
         recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
         return PROJECTED, 0
     dq[:] = 0.0
@@ -306,6 +316,6 @@ def finish(u, duals, count, lower, upper, scratch, multipliers):  # type: ignore
     factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
     x[:] = u
     y[:count] = duals[:count]
-    exact = settle(best, rows, bounds, count, CHANGES * n, x, y)
+    exact = settle(best, rows, bounds, count, CHANGES * n, x, y, scratch)
     recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
     return exact
