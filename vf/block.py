@@ -104,19 +104,6 @@ class Block:
         self.scratch = self._part(layout.SCRATCH, size)
         self.words[layout.SCRATCH_SIZE] = size
 
-    def problem(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the shortcuts left: u* (n,), rows (count, n) and bounds (count,), see `vf.solver`.
-
-        As `qp_kernels.carve` cuts the scratch up.
-        """
-        n, rows = self.n, self.room + 2 * self.n
-        first = n * n + 3 * n
-        return (
-            self.scratch[n * n : n * n + n],
-            self.scratch[first : first + count * n].reshape(count, n),
-            self.scratch[first + rows * n : first + rows * n + count],
-        )
-
     def _part(self, word: int, *shape: int) -> FloatArray:
         """A new part; what the word led to before is forgotten."""
         part = np.zeros(shape)

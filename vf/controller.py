@@ -19,6 +19,7 @@ from vf.corridor import CorridorFixture
 from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes, planes_of, write_records
+from vf.qp_kernels import left_over
 from vf.selftest import check_kernels
 from vf.solver import Solver, backend, check_solver
 from vf.status import Status
@@ -413,8 +414,8 @@ class Controller:
         """What the shortcuts left, by the solver."""
         block = self._block
         count = int(block.words[layout.LEFT])
-        best, rows, bounds = block.problem(count)
-        code, u, duals, _iterations = self._backend.solve(best, rows, bounds)
+        left = left_over(block.scratch, block.n, count)
+        code, u, duals, _iterations = self._backend.solve(*left)
         block.words[layout.ANSWER] = code
         block.solution[:] = u
         block.duals[:count] = duals

@@ -5,9 +5,11 @@ They work in one scratch array, cut up by `carve`: a call from Python pays for e
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
-from vf.kernels import njit
+from vf.kernels import floats_at, njit
+from vf.planes import FloatArray
 from vf.solver import Solver
 
 EXTRA = 4  # numbers a row takes in the scratch besides its n coefficients
@@ -23,19 +25,26 @@ def scratch_size(n: int, rows: int) -> int:
     return 2 * (n * n + 3 * n) + rows * (n + EXTRA)
 
 
+@njit(cache=True)
+def row_count(scratch, n):  # type: ignore[no-untyped-def]
+    """How many rows the scratch has room for."""
+    return (scratch.shape[0] - 2 * (n * n + 3 * n)) // (n + EXTRA)
+
+
 @njit(cache=True, inline="always")
 def carve(scratch, n):  # type: ignore[no-untyped-def]
     """Parts: factor (n, n), best, x, dq (n,), rows (r, n), bounds, scales, y, origin (r,)."""
-    rows = (scratch.shape[0] - 2 * (n * n + 3 * n)) // (n + EXTRA)
+    rows = row_count(scratch, n)
     a = n * n
     b = a + 3 * n
     c = b + rows * n
+    start = scratch.ctypes.data  # by address: to reshape is a call of a function
     return (
-        scratch[:a].reshape((n, n)),
+        numba.carray(floats_at(start), (n, n)),
         scratch[a : a + n],
         scratch[a + n : a + 2 * n],
         scratch[a + 2 * n : b],
-        scratch[b:c].reshape((rows, n)),
+        numba.carray(floats_at(start + 8 * b), (rows, n)),
         scratch[c : c + rows],
         scratch[c + rows : c + 2 * rows],
         scratch[c + 2 * rows : c + 3 * rows],
@@ -49,10 +58,27 @@ def carve_rest(scratch, n):  # type: ignore[no-untyped-def]
     a = scratch.shape[0] - n * n - 3 * n
     b = a + n * n
     return (
-        scratch[a:b].reshape((n, n)),
+        numba.carray(floats_at(scratch.ctypes.data + 8 * a), (n, n)),
         scratch[b : b + n],
         scratch[b + n : b + 2 * n],
         scratch[b + 2 * n : b + 3 * n],
+    )
+
+
+@njit(cache=True)
+def answer(scratch, n):  # type: ignore[no-untyped-def]
+    """The joint step dq (n,) that was found."""
+    return scratch[n * n + 2 * n : n * n + 3 * n]
+
+
+def left_over(scratch: FloatArray, n: int, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What `attempt` left for a solver: u* (n,), rows (count, n) and bounds (count,)."""
+    b = n * n + 3 * n
+    c = b + row_count.py_func(scratch, n) * n
+    return (
+        scratch[n * n : n * n + n],
+        scratch[b : b + count * n].reshape(count, n),
+        scratch[c : c + count],
     )
 
 
@@ -63,31 +89,40 @@ def reduce(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Factor, unconstrained optimum and how many rows matter.
 
-    FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows.
+    FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows. The factor's diagonal holds
+    reciprocals: a division takes as long as several products.
 
     `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
     """
     k, n = J.shape
     for i in range(n):
         for j in range(i + 1):
-            h = damping if i == j else 0.0
-            for r in range(k):
-                h += J[r, i] * J[r, j]
+            factor[i, j] = damping if i == j else 0.0
+        best[i] = 0.0
+    for r in range(k):
+        for i in range(n):
+            for j in range(i + 1):
+                factor[i, j] += J[r, i] * J[r, j]
+            best[i] += J[r, i] * d[r]
+    for i in range(n):
+        for j in range(i):
+            h = factor[i, j]
             for r in range(j):
                 h -= factor[i, r] * factor[j, r]
-            factor[i, j] = np.sqrt(h) if i == j else h / factor[j, j]
-    for i in range(n):
-        h = 0.0
-        for r in range(k):
-            h += J[r, i] * d[r]
+            factor[i, j] = h * factor[j, j]
+        h = factor[i, i]
+        for r in range(i):
+            h -= factor[i, r] * factor[i, r]
+        factor[i, i] = 1.0 / np.sqrt(h)
+        h = best[i]
         for r in range(i):
             h -= factor[i, r] * best[r]
-        best[i] = h / factor[i, i]
+        best[i] = h * factor[i, i]
     for i in range(n - 1, -1, -1):
         h = best[i]
         for r in range(i + 1, n):
             h -= factor[r, i] * dq[r]
-        dq[i] = h / factor[i, i]
+        dq[i] = h * factor[i, i]
     excess = 1.0
     for j in range(n):
         if abs(dq[j]) > excess * pace[j]:
@@ -123,7 +158,7 @@ def reduce(  # type: ignore[no-untyped-def]
                 h = G[i, j]
                 for r in range(j):
                     h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h / factor[j, j]
+                rows[count, j] = h * factor[j, j]
             bound = b[i]
             origin[count] = i
         else:
@@ -133,7 +168,7 @@ def reduce(  # type: ignore[no-untyped-def]
                 h = sign if j == c else 0.0
                 for r in range(j):
                     h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h / factor[j, j]
+                rows[count, j] = h * factor[j, j]
             bound = lower[c] if sign > 0.0 else -upper[c]
             origin[count] = -1 - (i - m)
         norm = 0.0
@@ -169,7 +204,7 @@ def recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers):
         h = x[i] * 1e-3
         for r in range(i + 1, n):
             h -= factor[r, i] * dq[r]
-        dq[i] = h / factor[i, i]
+        dq[i] = h * factor[i, i]
     for j in range(n):
         dq[j] = min(max(dq[j], lower[j]), upper[j])
     for i in range(count):

@@ -159,7 +159,7 @@ from vf.problem import (
     sagitta,
     usable,
 )
-from vf.qp_kernels import attempt, carve, finish
+from vf.qp_kernels import answer, attempt, finish
 from vf.solver import Solver
 from vf.status import Status
 
@@ -455,7 +455,7 @@ def _shortened(numbers, table, J, scratch, row):  # type: ignore[no-untyped-def]
     All joints are shortened alike: so it obeys the rows, and the tip heads for where it will end.
     """
     n = table.shape[1]
-    dq = carve(scratch, n)[3]
+    dq = answer(scratch, n)
     numbers[PACED] = pace(dq, table[SPEED], J, numbers[TIP_REACH])
     moves = False
     for j in range(n):
