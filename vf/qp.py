@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vf.planes import FloatArray
-from vf.qp_kernels import attempt, carve, finish, scratch_size
+from vf.qp_kernels import answer, attempt, finish, left_over, scratch_size
 from vf.solver import Solver, backend
 
 __all__ = ["ConstrainedLeastSquares", "Solution", "Solver"]
@@ -103,11 +103,12 @@ class ConstrainedLeastSquares:
             m, self._scratch, self._multipliers,
         )  # fmt: skip
         solver, iterations = Solver(code), 0
-        _factor, best, _x, dq, rows, bounds, _scales, _y, _origin = carve(self._scratch, self.n)
         if count:
-            solver, x, y, iterations = self._backend.solve(best, rows[:count], bounds[:count])
+            left = left_over(self._scratch, self.n, count)
+            solver, x, y, iterations = self._backend.solve(*left)
             if solver is not Solver.INFEASIBLE and finish(
                 x, y, count, lower, upper, self._scratch, self._multipliers
             ):
                 solver = Solver.SOLVED
+        dq = answer.py_func(self._scratch, self.n)
         return Solution(dq.copy(), self._multipliers[:m].copy(), solver, iterations)

@@ -127,6 +127,9 @@ def test_runtime_reports_every_row_and_its_parts(tmp_path: Path) -> None:
         assert sum(row["statuses"].values()) == row["ticks"]
         assert row["statuses"].get("refused", 0) == 0
     assert len(result["ratios"]) == 4 + 2
+    floor = result["floor [us]"]
+    assert 0.0 < floor["p1"] <= floor["median"] <= floor["p99"]
+    assert floor["p1"] < min(row["tick [us]"]["median"] for row in rows)
     stored = json.loads(write(tmp_path, "runtime", result).read_text())
     assert len(stored["rows"]) == len(rows)
 
