@@ -56,7 +56,7 @@ class Cell:
     radii: list[float] = field(default_factory=list)
     tips: list[FloatArray] = field(default_factory=list)
 
-    def even(self) -> None:
+    def truncate(self) -> None:
         """Remove the incomplete samples of an interrupted tick."""
         columns: tuple[list[Any], ...] = (
             self.total, self.parts, self.planes, self.states, self.radii, self.tips,
@@ -94,7 +94,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     surfaces, builds = [], []
     for size, (vertices, faces) in rungs.items():
         say(f"building the surface of {size:,} triangles")
-        surface, build = _built(vertices + shift, faces)
+        surface, build = _timed(vertices + shift, faces)
         surfaces.append(surface)
         builds.append({"triangles": size, **build})
     say("planning the route")
@@ -115,7 +115,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     ]
     floor = _out_of_reach(arm)
     for cell in (*cells, floor):
-        cell.spots = _affordable(cell, route, options)
+        cell.spots = _spots_in_budget(cell, route, options)
     done = 0
     whole = True
     try:
@@ -133,7 +133,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
             raise  # some rows have no samples yet
         whole = False
         for cell in (*cells, floor):
-            cell.even()
+            cell.truncate()
     say("timing single stages")
     rows = [summary(cell) for cell in cells]
     low, median, high = percentiles(np.array(floor.total) * 1e6)
@@ -166,7 +166,7 @@ def _out_of_reach(arm: robots.Arm) -> Cell:
     return Cell("certified", controller.fixtures[0].radius, 1, 3, controller, surface)
 
 
-def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, dict[str, Any]]:
+def _timed(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, dict[str, Any]]:
     """A surface, and the time of each stage of its construction."""
     marks: list[tuple[str, float]] = []
     started = perf_counter()
@@ -190,7 +190,7 @@ def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, 
     }
 
 
-def _affordable(cell: Cell, route: routes.Route, options: Runtime) -> int:
+def _spots_in_budget(cell: Cell, route: routes.Route, options: Runtime) -> int:
     """Number of spots that fit in the budget, estimated at the first two, which also warms up."""
     pilot = replace(cell, total=[], parts=[], planes=[], states=[], radii=[], tips=[])
     pilot.statuses = Counter()
