@@ -15,7 +15,7 @@ from vf.solver import Solver
 EXTRA = 4  # numbers a row takes in the scratch besides its n coefficients
 # What `reduce` answers where there are no rows to look at.
 FREE_ROWS, NO_WAY = 0, -1
-CHANGES = 4  # of the active rows that `finish` may make, for each joint
+CHANGES = 4  # of the active rows that `settle` may make, for each joint
 FREE, SOLVED, INFEASIBLE = int(Solver.FREE), int(Solver.SOLVED), int(Solver.INFEASIBLE)
 PROJECTED = int(Solver.PROJECTED)
 
@@ -333,9 +333,12 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
         dq[:] = 0.0
         return INFEASIBLE, 0
     mark_worst(best, rows, bounds, count, y)
-    if settle(best, rows, bounds, count, 0, x, y, scratch):
+    if settle(best, rows, bounds, count, CHANGES * n, x, y, scratch):
         recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
-        return PROJECTED, 0
+        binding = 0
+        for i in range(count):
+            binding += y[i] < 0.0
+        return PROJECTED if binding == 1 else SOLVED, 0
     dq[:] = 0.0
     return SOLVED, count
 
