@@ -1,6 +1,6 @@
 """Valid names of settings, for the help text and for checks before the libraries are imported.
 
-They duplicate what the libraries define, whose import takes a second; `tests/app/test_limits.py`
+They duplicate what the libraries define, whose import takes a second; `tests/app/test_kinds.py`
 compares the two.
 """
 

@@ -1,8 +1,8 @@
-"""Kinds of values that come from outside: what each may be, and how it is written.
+"""Kinds of option values: validation, parsing and formatting.
 
-A value has one kind wherever it stands: on the command line, in a scenario, in a recording's
-header, in a trial's file, on the page. There it is refused with the same words, and what `format`
-and `to_json` write is read back exactly.
+A value has the same kind on the command line, on the page, and in scenarios, recordings and trial
+files, and is refused with the same message. `parse` and `from_json` read exactly what `format` and
+`to_json` write.
 """
 
 from __future__ import annotations
@@ -26,20 +26,18 @@ from app.words import (
     parse_turn,
 )
 
-SEEDS = (0, 2**63 - 1)  # what a signed whole number of 64 bits has from 0
-FARTHEST = 2.0  # [m] of a place from the origin it is given in; farther is a slip of the unit
-MOST_TURN = math.radians(720.0)  # either way, about each axis
+SEEDS = (0, 2**63 - 1)  # non-negative 64-bit integers
+FARTHEST = 2.0  # of a place from its frame's origin [m]; a larger one suggests a wrong unit
+MOST_TURN = math.radians(720.0)  # in either direction, about each axis
 
 
 class Kind:
-    """What a value may be, and how it is written.
+    """A kind of values; this one is any text. Subclasses override the methods documented here.
 
     Attributes:
-        metavar: what stands for a value in help.
-        wanted: what a value is in JSON, in words.
-        json: what a value is in JSON, as Python reads it.
-
-    What the methods of a subclass do is said here.
+        metavar: placeholder of a value in the help text.
+        wanted: description of the JSON value, for errors.
+        json: Python types of the JSON value.
     """
 
     metavar: str = "TEXT"
@@ -47,17 +45,17 @@ class Kind:
     json: ClassVar[tuple[type, ...]] = (str,)
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse a value by the name of what has it.
+        """Validate a value; `name` is used in the message.
 
         Raises:
-            OptionError: naming the value and what is valid.
+            OptionError: with the value and what is valid.
         """
 
     def parse(self, text: str) -> Any:
-        """The value of a word of the command line, not checked.
+        """The value of a word of the command line, not validated.
 
         Raises:
-            OptionError: naming the word and how to write one.
+            OptionError: with the word and how to write it.
         """
         return text
 
@@ -66,10 +64,10 @@ class Kind:
         return str(value)
 
     def from_json(self, value: Any) -> Any:
-        """The value of what JSON has: a word as on the command line, but for numbers and switches.
+        """The value of a JSON value: a word as on the command line, except numbers and switches.
 
         Raises:
-            OptionError: saying what it must be.
+            OptionError: with the expected type.
         """
         if type(value) not in self.json:
             raise OptionError(f"must be {self.wanted}")
@@ -93,7 +91,7 @@ class Number(Kind):
 
     @property
     def shown(self) -> float:
-        """How many of `unit` one of SI is."""
+        """Factor from SI to `unit`."""
         return {"mm": 1e3, "mm/s": 1e3, "µm": 1e6}.get(self.unit, 1.0)
 
     def check(self, name: str, value: Any) -> None:
@@ -108,13 +106,13 @@ class Number(Kind):
             raise OptionError(f"{name} {self.text(number)} is outside {low} to {high}")
 
     def clamped(self, name: str, value: float) -> float:
-        """The nearest value in the range; what is not a number is refused, see `check`."""
+        """The nearest value in the range; NaN and other types are refused as by `check`."""
         if not isinstance(value, numbers.Real) or isinstance(value, bool) or value != value:
             self.check(name, value)
         return float(min(max(value, self.low), self.high))
 
     def text(self, value: float) -> str:
-        """A value as one would write it."""
+        """A value with its unit, for messages."""
         return f"{value:g} {self.unit}" if self.unit else f"{value:g}"
 
     def parse(self, text: str) -> float:
@@ -140,20 +138,20 @@ class Length(Number):
     json: ClassVar[tuple[type, ...]] = (str,)
 
     def text(self, value: float) -> str:
-        """In mm or um; what is no length at all as it is."""
+        """In mm or um."""
         return format_length(value) if math.isfinite(value) else f"{value:g}"
 
     def parse(self, text: str) -> float:
         return parse_length(text)
 
     def format(self, value: float) -> str:
-        """As one would write it if that is exact, else in metres with all digits."""
+        """In mm or um if that is exact, else in metres with all digits."""
         return _exact(value, format_length, parse_length, lambda x: f"{float(x)!r}m")
 
 
 @dataclass(frozen=True)
 class Speed(Number):
-    """A speed [m/s]; files had it as a bare number at first."""
+    """A speed [m/s]; a number in JSON, as older files have it, is in m/s."""
 
     unit: str = "mm/s"
 
@@ -168,7 +166,7 @@ class Speed(Number):
         return parse_speed(text)
 
     def format(self, value: float) -> str:
-        """As one would write it if that is exact, else in m/s with all digits."""
+        """In mm/s if that is exact, else in m/s with all digits."""
         return _exact(value, format_speed, parse_speed, lambda x: f"{float(x)!r}m/s")
 
 
@@ -198,7 +196,7 @@ class Whole(Kind):
 
 @dataclass
 class OneOf(Kind):
-    """One of the known names; `what` is what they are names of."""
+    """One of the known names; `what` is used in messages."""
 
     what: str
     known: tuple[str, ...]
@@ -214,7 +212,7 @@ class OneOf(Kind):
 
 
 class Frame(OneOf):
-    """The name of a patient frame, in small letters too."""
+    """The name of a patient frame, in upper or lower case."""
 
     def parse(self, text: str) -> str:
         return text.upper()
@@ -222,7 +220,7 @@ class Frame(OneOf):
 
 @dataclass(frozen=True)
 class Text(Kind):
-    """One line of characters that can be shown."""
+    """One line of printable characters."""
 
     most: int
 
@@ -239,7 +237,7 @@ class Text(Kind):
 
 @dataclass(frozen=True)
 class File(Text):
-    """A file's path or a name: whatever a system allows, line breaks too."""
+    """A name or path, with any characters that file systems allow."""
 
     most: int = 4096
     metavar: str = "FILE"
@@ -276,7 +274,7 @@ class Switch(Kind):
 
 
 class Place(Kind):
-    """Three coordinates [m], together at most `FARTHEST` from the origin."""
+    """Three coordinates [m], at most `FARTHEST` from the origin."""
 
     metavar, wanted = "X,Y,Z", 'a text such as "0,-1cm,-12cm"'
 
@@ -321,7 +319,7 @@ class Turn(Kind):
 
 @dataclass
 class Maybe(Kind):
-    """A value of another kind, or None, which is written as `word` if there is one."""
+    """A value of another kind, or None, which is written as `word` if that is given."""
 
     of: Kind
     word: str = ""
@@ -360,7 +358,7 @@ class Maybe(Kind):
 
 @dataclass
 class Many(Kind):
-    """A tuple of one or more values of another kind: words one after another."""
+    """A tuple of one or more values of another kind; on the command line, consecutive words."""
 
     more: ClassVar[str] = " …"
 
@@ -377,7 +375,7 @@ class Many(Kind):
 
 
 class Repeated(Many):
-    """A tuple of any number of values: on the command line the option is given for each."""
+    """A tuple of any number of values; on the command line, the option is repeated."""
 
     more = ""
 
@@ -387,7 +385,7 @@ class Repeated(Many):
 
 
 class Listed(Many):
-    """A tuple of one or more values, each once: in one word, with commas between them."""
+    """A tuple of one or more different values; on the command line, separated by commas."""
 
     more = ",…"
 
@@ -405,7 +403,7 @@ def bare(kind: Kind) -> Kind:
 
 
 def shown(value: Any) -> str:
-    """A value in a message: short, and of one line whatever it is."""
+    """A value for a message: one short line."""
     text = ascii(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
 
@@ -425,7 +423,7 @@ def _three(name: str, value: Any, what: str) -> None:
         isinstance(value, tuple)
         and len(value) == 3
         and all(isinstance(x, numbers.Real) and not isinstance(x, bool) for x in value)
-        and all(isinstance(x, float) or abs(x) < 2**63 for x in value)  # others may be no floats
+        and all(isinstance(x, float) or abs(x) < 2**63 for x in value)  # convertible to float
     )
     if not sound:
         raise OptionError(f"{name} must be three {what} x, y, z, not {shown(value)}")

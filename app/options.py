@@ -1,14 +1,13 @@
-"""An option is declared once, as a field of a dataclass; whatever else knows it asks here.
+"""Options, each declared once as a field of a dataclass.
 
     @dataclass(frozen=True)
     class Cut(Checked):
         depth: float = option(Length(0.0, 5e-3), 1e-3, "How deep to cut.")
 
-The value's kind checks it, and reads and writes it wherever it stands (`app.kinds`); the command
-line and its help are made of the same declaration (`parse_as`).
+The kind validates, reads and writes the value (`app.kinds`); the command line and its help are made
+from the same declaration (`parse_as`).
 
-Importing this module is cheap on purpose (no kernels, no robots), so that `--help` and a mistyped
-option answer at once.
+Cheap to import (no kernels, no robots), so that `--help` and usage errors are immediate.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ T = TypeVar("T")
 
 
 class Scope(Enum):
-    """What has to be made anew where an option of a session changes."""
+    """What is rebuilt when an option of a session changes."""
 
-    MESH = "the mesh, and with it the scene"  # these options change together
+    MESH = "the mesh, and with it the scene"  # options that change together
     ARM = "the arm, and with it the scene"
     FIXTURE = "the fixture and the controller"
     TELEOPERATION = "the map from the handle to the proxy"
@@ -42,15 +41,15 @@ class Scope(Enum):
 
 @dataclass(frozen=True)
 class Option:
-    """What is known of an option besides its name, type and default.
+    """The declaration of an option, besides its name, type and default.
 
     Attributes:
-        kind: what a value may be.
-        about: a sentence or two of help.
-        scope: what it is a setting of, if it is one of a session.
-        recorded: whether a tick, or the way to it, can depend on it: it is in recordings.
+        kind: of its values.
+        about: help text.
+        scope: for an option of a session: what it belongs to.
+        recorded: whether it is in recordings, because ticks can depend on it.
         shared: whether it is in the files of scenarios.
-        positional: whether it stands on the command line without its name.
+        positional: whether it is given on the command line without its name.
     """
 
     kind: Kind
@@ -74,29 +73,29 @@ def option(
     """A field with its declaration, see `Option`.
 
     Args:
-        default: without one it must be given.
-        recorded, shared: None: those of a session are, but for the program's.
+        default: if missing, the option is required.
+        recorded, shared: None: true for options of a session, except those of the server.
     """
     usual = scope not in (None, Scope.SERVER)
     recorded = usual if recorded is None else recorded
     shared = usual if shared is None else shared
-    told = Option(kind, about, scope, recorded, shared, positional)
-    return field(default=default, metadata={"option": told})
+    entry = Option(kind, about, scope, recorded, shared, positional)
+    return field(default=default, metadata={"option": entry})
 
 
 def like(other: type, name: str, default: Any = None, about: str | None = None) -> Any:
-    """A field as another dataclass has it, by default with its default and help."""
-    told = declared(other)[name]
+    """A field with the declaration of another dataclass; default and help may be replaced."""
+    entry = declared(other)[name]
     if default is None:
         default = getattr(other, name, MISSING)
-    return option(told.kind, default, told.about if about is None else about)
+    return option(entry.kind, default, entry.about if about is None else about)
 
 
 def declared(kind: type) -> dict[str, Option]:
-    """The options of a dataclass by name, in its order.
+    """The options of a dataclass by name, in the order of its fields.
 
     Raises:
-        KeyError: a field that is none.
+        KeyError: a field that is not an option.
     """
     found: dict[str, Option] = {}
     for one in dataclasses.fields(kind):
@@ -107,22 +106,22 @@ def declared(kind: type) -> dict[str, Option]:
 
 
 class Checked:
-    """A dataclass of options, whose values are checked when one is made.
+    """Base of a dataclass of options that validates its values.
 
     Raises:
-        OptionError: a value that its kind does not allow, by the option's name.
+        OptionError: an invalid value, with the option's name.
     """
 
     def __post_init__(self) -> None:
-        for name, told in declared(type(self)).items():
-            told.kind.check(name, getattr(self, name))
+        for name, entry in declared(type(self)).items():
+            entry.kind.check(name, getattr(self, name))
 
 
 def check_keys(what: str, content: Any, known: Collection[str]) -> Mapping[str, Any]:
-    """A JSON object with just these keys; others are refused. `what` is what to call it.
+    """A JSON object that has exactly these keys; `what` names it in messages.
 
     Raises:
-        OptionError: by the key.
+        OptionError: not an object, or an unknown or missing key.
     """
     if not isinstance(content, dict):
         raise OptionError(f"{what} must be a JSON object {{…}}, not {shown(content)}")
@@ -136,13 +135,13 @@ def check_keys(what: str, content: Any, known: Collection[str]) -> Mapping[str, 
 
 
 def plain(value: Any) -> Any:
-    """The value of an option of what JSON has of it as it is, in SI units: tuples are lists."""
+    """An option's value from its JSON in SI units: a list becomes a tuple."""
     return tuple(value) if isinstance(value, list) else value
 
 
 @dataclass(frozen=True)
 class _Typed:
-    """Words of the command line, to be read once tyro is done."""
+    """Words of the command line, parsed after tyro has finished."""
 
     words: list[str]
 
@@ -154,18 +153,18 @@ def parse_as(
     description: str = "",
     default: T | None = None,
 ) -> T:
-    """A dataclass of options from command-line words; tyro sorts the words and prints help.
+    """A dataclass of options from command-line words; tyro assigns the words and prints help.
 
     Args:
-        description: what help says first; the dataclass's docstring if empty.
-        default: where the words say nothing; None: the dataclass's own defaults.
+        description: beginning of the help text; empty: the dataclass's docstring.
+        default: default values; None: the dataclass's own.
 
     Raises:
-        OptionError: a value was not usable.
+        OptionError: an invalid value.
         SystemExit: after `--help` (0) or a usage error (2).
     """
     if any(word in ("-h", "--help") for word in arguments):
-        # tyro would print a paragraph as one long line
+        # tyro does not wrap paragraphs
         print(_wrapped(description or kind.__doc__ or "") + "\n")
     options = declared(kind)
     fields: list[Any] = []
@@ -175,13 +174,15 @@ def parse_as(
     found: Any = tyro.cli(
         make_dataclass(kind.__name__, fields), prog=program, description="", args=arguments
     )
-    return kind(**{name: _read(name, told, getattr(found, name)) for name, told in options.items()})
+    return kind(
+        **{name: _read(name, entry, getattr(found, name)) for name, entry in options.items()}
+    )
 
 
-def _for_tyro(told: Option) -> Any:
-    """The type of a field whose words tyro leaves as they are, with its help."""
-    kind, marks = told.kind, [tyro.conf.arg(help=told.about)]
-    if told.positional:
+def _for_tyro(entry: Option) -> Any:
+    """The type of a field for tyro, with its help; tyro does not parse its words."""
+    kind, marks = entry.kind, [tyro.conf.arg(help=entry.about)]
+    if entry.positional:
         marks.append(tyro.conf.Positional)
     if isinstance(kind, Switch):
         return Annotated[(bool, *marks)]
@@ -201,9 +202,9 @@ def _for_tyro(told: Option) -> Any:
     return Annotated[(Any, spec, *marks)]
 
 
-def _read(name: str, told: Option, value: Any) -> Any:
-    """The value of what tyro found: typed words, or the default."""
-    kind = told.kind
+def _read(name: str, entry: Option, value: Any) -> Any:
+    """The value of tyro's result: words, or the default."""
+    kind = entry.kind
     try:
         if isinstance(value, _Typed):
             if isinstance(kind, Many) and not isinstance(kind, Listed):
@@ -217,7 +218,7 @@ def _read(name: str, told: Option, value: Any) -> Any:
 
 
 def _wrapped(text: str) -> str:
-    """Paragraphs in 79 columns; lines that are indented stay as they are."""
+    """Paragraphs in 79 columns; indented lines are not wrapped."""
     paragraphs = cleandoc(text).split("\n\n")
     return "\n\n".join(
         part if "\n " in part or part.startswith(" ") else textwrap.fill(part, 79)

@@ -1,7 +1,7 @@
-"""What is said to whoever asked for something that is not done."""
+"""The exception for refused orders."""
 
 from __future__ import annotations
 
 
 class Refused(ValueError):
-    """Input that is not acted upon; the message says why. What went on before goes on."""
+    """An order is refused; the message says why, and the state is unchanged."""

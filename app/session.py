@@ -1,4 +1,4 @@
-"""One running sandbox: owns arm, scene, fixture, controller and loop; what a view talks to."""
+"""The session: owns scene, controller and control loop; the interface for views."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 import robots
 from app.control.autopilot import Script
-from app.control.desk import Desk
 from app.control.engine import Orders
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
+from app.control.order_writer import OrderWriter
 from app.control.watch import Crossing, Watch
 from app.devices.page import PageMaster, checked_pose
 from app.kinds import Number
@@ -33,20 +33,18 @@ from app.settings import DECLARED, MESH, Options, kind_of
 
 DEFAULTS = Options()
 LIVE = tuple(  # options that are set while a session runs
-    name for name, told in DECLARED.items() if told.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
+    name for name, entry in DECLARED.items() if entry.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
 )
 
 
 class Session:
-    """A sandbox with its control thread. Every method may be called from any thread.
-
-    All poses are in the arm's base frame.
+    """A running sandbox with its control thread. Thread-safe. Poses are in the arm's base frame.
 
     Attributes:
         scene: the present `Scene`; replaced as a whole by `change`.
-        options: the present `Options`, with the values really in force.
-        master: what the operator holds; it is moved through the methods here.
-        work: the one long piece of work that may be under way, such as a `change`.
+        options: the `Options` in force.
+        master: the operator's input device; it is moved by the methods below.
+        work: the long operation in progress, such as a `change`, if there is one.
     """
 
     def __init__(
@@ -55,8 +53,8 @@ class Session:
         """Build the scene and the controller, without starting the thread.
 
         Args:
-            progress: called with a few words before each step.
-            scene: one that was built otherwise than these options say.
+            progress: called with a short text before each step.
+            scene: a scene to use instead of building one from the options.
 
         Raises:
             ValueError: unknown names or an unusable mesh, with the reason.
@@ -74,10 +72,10 @@ class Session:
             scale=options.scale,
             lock_orientation=options.lock_orientation,
         )
-        self._desk = Desk(orders)
+        self._writer = OrderWriter(orders)
         self._outbox: Mailbox[Telemetry] = Mailbox()
         self._watch = Watch()
-        self._loop = ControlLoop(self._desk.inbox, self._outbox, options.dt, self._ticked)
+        self._loop = ControlLoop(self._writer.inbox, self._outbox, options.dt, self._ticked)
 
     def __enter__(self) -> Session:
         self.start()
@@ -109,29 +107,28 @@ class Session:
 
     @property
     def unwatched(self) -> int:
-        """Ticks since the start that nobody tested for a crossing; 0 unless something is wrong."""
+        """Number of ticks that were not tested for a crossing; 0 in normal operation."""
         return self._watch.missed
 
     @property
     def handle(self) -> pin.SE3:
-        """The master's present pose: where the gizmo belongs when nobody drags it."""
+        """The master's present pose, at which the gizmo is drawn."""
         return self.master.handle
 
     @property
     def tape(self) -> Tape | None:
-        """The recording under way or, if none is, the last one; None: there was none."""
+        """The current recording or, if there is none, the last one; None: there was none."""
         return self._loop.tape
 
     def record(self, path: Path | str) -> Tape:
         """Record every order and tick from the next tick on, until `stop_recording` or `close`.
 
-        No file is written over: where there is one of this name, the recording takes another, see
-        `Tape.path`.
+        No file is overwritten: if the path exists, another name is used, see `Tape.path`.
 
         Raises:
             Refused: a recording is under way, or the file cannot be made.
         """
-        with self._desk.turn():
+        with self._writer.exclusive():
             return self._loop.record(path)
 
     def stop_recording(self) -> Tape:
@@ -142,118 +139,118 @@ class Session:
         """
         return self._loop.stop_recording()
 
-    # While something else is on the page
+    # Suspension, while a replay is shown
 
     def suspend(self, reason: str, stop: worker.Stop | None = None) -> None:
-        """Stop the ticks, let go of the handle, and refuse every order until `go_on`.
+        """Pause the loop, end a drag, and refuse all orders until `go_on`.
 
         Args:
-            reason: what those are told who want something of the session meanwhile.
-            stop: of the `work` that this belongs to, if it does.
+            reason: message of the refusals.
+            stop: of the operation (see `work`) that this is part of; None: it is its own.
 
         Raises:
-            Refused: it is suspended already, or other work is under way.
+            Refused: already suspended, or another operation is in progress.
         """
-        with self._desk.turn(), self.work.begin(stop):
+        with self._writer.exclusive(), self.work.begin(stop):
             if self.master.held:
                 self.master.let_go()
                 self._command()
-            self._desk.close(reason)
+            self._writer.close(reason)
 
     def go_on(self) -> None:
-        """Take orders again, and tick if it did before `suspend`. Safe to call twice."""
-        self._desk.open()
+        """Accept orders again, and resume if it ran before `suspend`. Safe to call twice."""
+        self._writer.open()
 
     @property
     def suspended(self) -> bool:
-        """Whether orders are refused for now."""
-        return bool(self._desk.closed)
+        """Whether orders are refused, see `suspend`."""
+        return bool(self._writer.closed)
 
-    # What the operator does
+    # Orders of the operator
 
     def drive(self, target: pin.SE3, held: bool = False) -> None:
-        """Move the handle. Ends the autopilot: the hand has priority.
+        """Move the handle; ends the autopilot.
 
         Args:
-            target: pose of the handle, arm base frame; with scale 1 that is the proxy.
-            held: a drag is going on; then call again (the same pose will do, or `touch`) before
-                `Options.stale_after` runs out, or the tool holds.
+            target: pose of the handle, arm base frame; with scale 1 it is that of the proxy.
+            held: a drag is going on: unless `drive` or `touch` is called again within
+                `Options.stale_after`, the tool holds.
 
         Raises:
             Refused: not finite, not a rotation, or too far from the base. The pose stays.
         """
-        with self._desk.turn():
+        with self._writer.exclusive():
             self.master.move(target, held)
             self._command(autopilot=False)
 
     def touch(self) -> None:
-        """Say that the drag is still alive though the handle rests.
+        """Keep a drag alive while the handle rests.
 
-        Never waits: while a setter is at work (some milliseconds) this does nothing.
+        Does not block: if another thread holds the lock, this does nothing.
         """
-        if not self._desk.lock.acquire(blocking=False):
+        if not self._writer.lock.acquire(blocking=False):
             return
         try:
-            if self.master.held and not self._desk.closed:
+            if self.master.held and not self._writer.closed:
                 self._command()
         finally:
-            self._desk.lock.release()
+            self._writer.lock.release()
 
     def nudge(self, shift: ArrayLike) -> None:
-        """Move the handle by shift (3,) [m], base frame, and no farther; ends the autopilot.
+        """Move the handle by shift (3,) [m], base frame; ends the autopilot.
 
         Raises:
-            Refused: not three finite numbers, or it leads too far away. Nothing moves then.
+            Refused: not three finite numbers, or too far from the base. The pose stays.
         """
         shift = np.asarray(shift, dtype=np.float64)
         if shift.shape != (3,) or not np.isfinite(shift).all():
             raise Refused(f"a nudge is three finite lengths, not {shift.tolist()}")
-        with self._desk.turn():
-            if self._desk.orders.autopilot:
+        with self._writer.exclusive():
+            if self._writer.orders.autopilot:
                 self.set_autopilot(False)
             self.drive(pin.SE3(self.handle.rotation, self.handle.translation + shift))
 
     def recall(self) -> None:
-        """Put handle and proxy back onto the tool; ends the autopilot."""
-        with self._desk.turn():
+        """Move handle and proxy to the tool; ends the autopilot."""
+        with self._writer.exclusive():
             self.master.place(self._tool())
             self._command(autopilot=False)
 
     def clutch(self, pressed: bool) -> None:
-        """Pressed: the tool holds, the force is zero and the handle moves alone.
+        """Press the clutch: the tool holds, the force is zero and the handle moves alone.
 
-        Released: handle and proxy are latched anew, the proxy where the tool is.
+        On release the proxy is latched to the tool and the handle to the proxy.
         """
-        with self._desk.turn():
+        with self._writer.exclusive():
             if pressed != self.master.clutched:
                 self.master.clutch(pressed, self._tool())
                 self._command()
 
     def pause(self) -> None:
         """Stop the ticks; telemetry keeps showing the last one."""
-        with self._desk.turn():
-            self._desk.write(paused=True)
+        with self._writer.exclusive():
+            self._writer.write(paused=True)
 
     def resume(self) -> None:
-        """Let the ticks go on. The proxy that counts is the one of this moment."""
-        with self._desk.turn():
-            self._desk.write(paused=False)
+        """Resume the ticks, with the present proxy."""
+        with self._writer.exclusive():
+            self._writer.write(paused=False)
 
     def single_step(self, ticks: int = 1) -> None:
-        """Pause, and do exactly so many ticks, one after the other at the loop's rate."""
-        with self._desk.turn():
-            self._desk.write(paused=True, steps=self._desk.orders.steps + ticks)
+        """Pause, and do exactly this number of ticks at the loop's rate."""
+        with self._writer.exclusive():
+            self._writer.write(paused=True, steps=self._writer.orders.steps + ticks)
 
     def reset(self) -> None:
-        """Put the tool back to the scene's start, and handle and proxy onto it."""
-        with self._desk.turn():
+        """Move the tool to the scene's start, and handle and proxy to the tool."""
+        with self._writer.exclusive():
             self._to_start()
-            self._command(autopilot=False, resets=self._desk.orders.resets + 1)
+            self._command(autopilot=False, resets=self._writer.orders.resets + 1)
 
     def set_autopilot(self, on: bool) -> None:
-        """Let a scripted path drive the proxy, from its beginning. Off: the proxy stays there."""
-        with self._desk.turn():
-            if on == self._desk.orders.autopilot:
+        """On: the scene's script moves the proxy, from its beginning. Off: the proxy stays."""
+        with self._writer.exclusive():
+            if on == self._writer.orders.autopilot:
                 return
             target = self.latest().target
             if on:
@@ -263,38 +260,38 @@ class Session:
             self._command(autopilot=on)
 
     def put(self, proxy: pin.SE3) -> None:
-        """Put the proxy there, and the handle with it; ends the autopilot.
+        """Set the pose of proxy and handle; ends the autopilot.
 
         Raises:
             Refused: not finite, not a rotation, or too far from the base.
         """
         pose = checked_pose(proxy)
-        with self._desk.turn():
+        with self._writer.exclusive():
             self.master.hold()
             self.master.place(pose)
             self._command(autopilot=False)
 
     def perform(self, script: Script) -> None:
-        """Put the tool to the scene's start and let this script drive the proxy from there.
+        """Move the tool to the scene's start and let this script move the proxy.
 
-        It takes the place of the scene's own autopilot until the scene is changed.
+        It replaces the scene's own script until the scene is changed.
         """
-        with self._desk.turn():
+        with self._writer.exclusive():
             self.scene = replace(self.scene, autopilot=script)
             plant = scenes.plant(self.scene, self.options)
             self._to_start()
-            self._command(autopilot=True, plant=plant, resets=self._desk.orders.resets + 1)
+            self._command(autopilot=True, plant=plant, resets=self._writer.orders.resets + 1)
 
     def set(self, **changes: Any) -> Options:
-        """Change options of the fixture and of teleoperation; returns those then in force.
+        """Change options of the fixture and of teleoperation; returns the options in force.
 
-        A number out of range is clamped. Where teleoperation changes the proxy does not jump.
+        Numbers are clamped to their range. A change of teleoperation does not move the proxy.
 
         Raises:
-            Refused: an option that is none of these, a value that is unknown or not a number, a
-                corridor without a planned path or wider than its bends allow.
+            Refused: another option, an invalid value, a corridor without a planned path or wider
+                than its bends allow.
         """
-        with self._desk.turn():
+        with self._writer.exclusive():
             orders: dict[str, Any] = {}
             changed = set()
             try:
@@ -315,7 +312,7 @@ class Session:
                 raise Refused(str(error)) from None
             self.options = options
             if orders:
-                self._desk.write(**orders)
+                self._writer.write(**orders)
             if Scope.TELEOPERATION in changed:
                 self._remap()
             return options
@@ -329,26 +326,27 @@ class Session:
         stop: worker.Stop | None = None,
         **more: Any,
     ) -> Scene:
-        """Another mesh or robot: built aside while the old one runs, then swapped between ticks.
+        """Change mesh or robot: the new scene is built while the old one runs, and then swapped in.
 
-        The tool stays where it is if that is free space in the new scene, else it is put to the
-        new start; handle and proxy are put onto it.
+        The tool stays in place if that is free space in the new scene, else it moves to the new
+        start; handle and proxy move to the tool.
 
         Args:
-            mesh: catalogue name or path, `unit` is the file's; None keeps the mesh and its unit.
+            mesh: catalogue name or path; None keeps the mesh and its unit.
+            unit: of the mesh file.
             robot: name; None keeps the robot.
-            progress: called with a few words before each step.
-            stop: of the `work` that this belongs to; None: it is one of its own.
-            more: other `Options` by name, such as ``repair=True``. Of those that belong to the mesh
-                (`settings.MESH`) another mesh takes the ones named here and the defaults.
+            progress: called with a short text before each step.
+            stop: of the operation (see `work`) that this is part of; None: it is its own.
+            more: other `Options` by name, such as ``repair=True``. With a new `mesh`, options of
+                the mesh (`settings.MESH`) that are not given are reset to their defaults.
 
         Raises:
-            Refused: other work is under way.
+            Refused: another operation is in progress.
             Stopped: it was stopped.
-            ValueError: unknown names or an unusable mesh, with the reason; the old scene goes on.
+            ValueError: unknown names or an unusable mesh; the old scene stays.
         """
         with contextlib.ExitStack() as stack:
-            with self._desk.turn():  # refused now rather than after the scene is built
+            with self._writer.exclusive():  # raises `Refused` before the scene is built
                 stop = stack.enter_context(self.work.begin(stop))
             wanted = {} if mesh is None else {name: getattr(DEFAULTS, name) for name in MESH}
             named = {"mesh": mesh, "unit": unit, "robot": robot}
@@ -357,8 +355,8 @@ class Session:
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = worker.build(options, self.scene.version + 1, arm, progress, stop)
-            with self._desk.lock:
-                # Settings may have moved on while the scene was being built.
+            with self._writer.lock:
+                # Settings may have changed while the scene was built.
                 options = replace(self.options, **wanted)
                 plant = scenes.plant(new, options)
                 self.scene, self.options = new, options
@@ -370,7 +368,7 @@ class Session:
                 self.master.hold()
             return new
 
-    # Inner workings; callers hold the lock
+    # Internal; callers hold the lock
 
     def _ticked(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
         """From the control thread, after every advance of the engine."""
@@ -379,20 +377,20 @@ class Session:
             self.master.feel(telemetry.step.force)
 
     def _to_start(self) -> None:
-        """The handle where the tool starts, and no proxy."""
+        """Move the handle to the tool's start, and clear the proxy."""
         self.master.place(self.scene.T_base_start)
         self.master.hold()
 
     def _remap(self) -> None:
-        """The teleoperation by the present settings; the proxy does not jump."""
+        """Apply the present settings of teleoperation; the proxy does not move."""
         options = self.options
         self.master.remap(options.scale, options.lock_orientation)
-        self._desk.write(scale=options.scale, lock_orientation=options.lock_orientation)
+        self._writer.write(scale=options.scale, lock_orientation=options.lock_orientation)
 
     def _command(self, **changes: Any) -> None:
-        """What the master says, and other changes that must be seen at the same tick."""
-        sequence = self._desk.orders.command.sequence + 1
-        self._desk.write(command=self.master.command(sequence), **changes)
+        """Write the master's command together with other changes of the orders."""
+        sequence = self._writer.orders.command.sequence + 1
+        self._writer.write(command=self.master.command(sequence), **changes)
 
     def _tool(self) -> pin.SE3:
         """The tool's pose as last seen."""

@@ -1,6 +1,6 @@
-"""What the user chooses: one frozen value, the same from the command line to the panel.
+"""The settings of a session, for the command line, files and the page.
 
-Importing this module is cheap on purpose, see `app.options`.
+Cheap to import, see `app.options`.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from app.options import Checked, Scope, declared, option
 
 @dataclass(frozen=True)
 class Options(Checked):
-    """Settings of a session. Lengths in metres inside; `5mm` and the like on the command line.
+    """Settings of a session. Lengths are in metres, on the command line with a unit (`5mm`).
 
     Raises:
-        OptionError: a value that its kind does not allow. Which meshes there are is known when the
-            scene is built, since that needs the libraries.
+        OptionError: an invalid value. Names of meshes are checked when the scene is built, since
+            this needs the libraries.
     """
 
     mesh: str = option(
@@ -166,19 +166,19 @@ class Options(Checked):
 
 
 DECLARED = declared(Options)
-MESH = tuple(name for name, told in DECLARED.items() if told.scope is Scope.MESH)
+MESH = tuple(name for name, entry in DECLARED.items() if entry.scope is Scope.MESH)
 
 
 def kind_of(name: str) -> Kind:
-    """What a value of this option is where it is not None."""
+    """The kind of this option, without None."""
     return bare(DECLARED[name].kind)
 
 
 def number(name: str) -> Number:
-    """What a value of this option is, which is a number.
+    """The kind of a numeric option.
 
     Raises:
-        KeyError: it is none.
+        KeyError: it is not numeric.
     """
     found = kind_of(name)
     if not isinstance(found, Number):

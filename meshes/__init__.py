@@ -1,13 +1,10 @@
-"""Meshes for virtual fixtures: the catalogue, loading a user's file, placing it under an arm.
-
-Everything that comes out of this package is in metres.
-"""
+"""Meshes for virtual fixtures: catalogue, files, health report, repair, placement. Lengths in m."""
 
 from meshes.builtin.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.checks.health import Finding, Health, health
 from meshes.checks.repair import Changes, Repaired, repair
 from meshes.errors import MeshError, UnitGuess
-from meshes.frames import FRAMES, told
+from meshes.frames import FRAMES, frame_description
 from meshes.load import FORMATS, FREESURFER, Loaded, arrays, kind, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
@@ -36,6 +33,7 @@ __all__ = [
     "arrays",
     "catalogue",
     "display",
+    "frame_description",
     "health",
     "kind",
     "load",
@@ -47,6 +45,5 @@ __all__ = [
     "read_path",
     "repair",
     "save",
-    "told",
     "transformed",
 ]

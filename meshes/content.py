@@ -1,4 +1,4 @@
-"""What the readers of the formats hand over, and the limits that all of them keep."""
+"""The result of every reader, and the limits that all readers keep."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from meshes.builtin.shapes import Arrays
 from meshes.errors import MeshError
 
-SIZE_LIMIT = 500_000_000  # [byte] of a file, and of what a packed one holds: ten million triangles
-RATIO = 50  # that packed data may unpack to; meshes written as text pack to some tenth
-UNPACKED = 10_000_000  # [byte] that any file may unpack to
-PLACED = 1_000_000  # triangles that any file may place; a second's work
+SIZE_LIMIT = 500_000_000  # [byte] of a file, also uncompressed: ten million triangles
+RATIO = 50  # of the uncompressed size to the compressed one; text meshes reach about 10
+UNPACKED = 10_000_000  # [byte] uncompressed, allowed to any file
+PLACED = 1_000_000  # triangles that any file may place: about 1 s
 
 
 @dataclass(frozen=True)
 class Content:
-    """The bodies of a file, each ``(vertices in the file's unit, faces)``, and what it says."""
+    """The bodies of a file, each ``(vertices in the file's unit, faces)``, and its metadata."""
 
     bodies: list[Arrays]
     unit: str | None = None
@@ -47,27 +47,40 @@ def checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
 
 
 def check_corners(corners: NDArray[np.int64], vertices: int) -> None:
-    """Refuse corners of any shape that are not among so many vertices.
-
-    Raises:
-        MeshError: says which.
-    """
+    """Raise `MeshError` where a corner, in an array of any shape, is not one of the vertices."""
     if corners.size and (corners.min() < 0 or corners.max() >= vertices):
         worst = int(corners.min()) if corners.min() < 0 else int(corners.max())
         raise MeshError(f"a face refers to vertex {worst}, of {vertices} (counted from 0)")
 
 
+def moved(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], T: NDArray[np.float64]
+) -> Arrays:
+    """A body moved by an affine transform ``(4, 4)``; a mirror image is wound outwards again.
+
+    Raises:
+        MeshError: a vertex that is not finite then.
+    """
+    if np.array_equal(T, np.eye(4)):  # the product would round the coordinates
+        return vertices, faces
+    mirrored = np.linalg.det(T[:3, :3]) < 0
+    return checked(vertices @ T[:3, :3].T + T[:3, 3], faces[:, ::-1] if mirrored else faces)
+
+
+def compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
+    """Copies with only the vertices that faces use, in their order."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    return vertices[used], (np.cumsum(used) - 1)[faces]
+
+
 def allowed_unpacked(packed: int) -> int:
-    """How many bytes so many packed ones may unpack to."""
+    """The uncompressed size [byte] allowed to data of a compressed size."""
     return min(max(UNPACKED, RATIO * packed), SIZE_LIMIT)
 
 
 def check_unpacked(size: int, packed: int) -> None:
-    """Refuse ``packed`` bytes that unpack to ``size``, before they do.
-
-    Raises:
-        MeshError: more than any mesh needs.
-    """
+    """Raise `MeshError` where ``size`` exceeds `allowed_unpacked`, before data is decompressed."""
     allowed = allowed_unpacked(packed)
     if size > allowed:
         raise MeshError(
@@ -77,22 +90,18 @@ def check_unpacked(size: int, packed: int) -> None:
 
 
 def allowed_placed(own: int) -> int:
-    """How many triangles a file may place that holds at most so many of its own."""
+    """The number of triangles that a file with ``own`` of them may place."""
     return max(PLACED, own)
 
 
 def check_placed(triangles: int, own: int) -> None:
-    """Refuse a scene of so many triangles, before it is built.
-
-    Raises:
-        MeshError: more than `allowed_placed`: it repeats what it has.
-    """
+    """Raise `MeshError` where a scene exceeds `allowed_placed`, before it is built."""
     allowed = allowed_placed(own)
     if triangles > allowed:
         raise MeshError(f"places {triangles:,} triangles, more than the {allowed:,} allowed")
 
 
 def cut_off(promised: str, found: str = "") -> MeshError:
-    """The error of a file that holds less than it promises."""
+    """The error of a file that holds less than its header or structure says."""
     less = f"but has {found}" if found else "but ends before"
     return MeshError(f"it promises {promised}, {less}: cut off or damaged")

@@ -1,4 +1,4 @@
-"""What can go wrong with a mesh, told in one line."""
+"""Errors and warnings about a mesh, one line each."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ class MeshError(ValueError):
 
 
 class UnitGuess(UserWarning):
-    """A mesh file says nothing about its unit: the warning tells what is taken for it, and why."""
+    """A mesh file names no unit: the warning names the unit that is assumed, and why."""

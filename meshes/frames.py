@@ -2,9 +2,8 @@
 
 "RAS": x to the patient's right, y to the front (anterior), z up (superior): NIfTI, FreeSurfer, and
 3D Slicer inside. "LPS": x to the left, y to the back (posterior), z up: DICOM, and what 3D Slicer
-writes. One is the other after half a turn about z, which on a skull is hard to see. Most formats do
-not say which they hold; 3D Slicer writes `SPACE=RAS` or `SPACE=LPS` in a header or comment, and
-takes a file without it as LPS.
+writes. They differ by half a turn about z. Most formats do not say which they hold; 3D Slicer
+writes `SPACE=RAS` or `SPACE=LPS` in a header or comment, and takes a file without it as LPS.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ def in_text(text: bytes | str) -> str | None:
 
 
 def tag(frame: str) -> str:
-    """The words that `in_text` and 3D Slicer read a frame from."""
+    """The text from which `in_text` and 3D Slicer read a frame."""
     return f"SPACE={frame}"
 
 
 def chosen(frame: str | None) -> str | None:
-    """A frame as the user writes it, in capitals; None stays None.
+    """A frame given by the user, in capitals; None stays None.
 
     Raises:
         MeshError: neither RAS nor LPS.
@@ -55,8 +54,8 @@ def chosen(frame: str | None) -> str | None:
     raise MeshError(f"unknown frame {frame!r}: choose one of {', '.join(FRAMES)}")
 
 
-def agreed(said: str | None, found: str | None) -> str | None:
-    """The frame of a file, from what the user says and what the file does; None if neither.
+def combined(said: str | None, found: str | None) -> str | None:
+    """The frame given by the user (``said``) or by the file (``found``); None if neither.
 
     Raises:
         MeshError: they contradict each other.
@@ -69,10 +68,10 @@ def agreed(said: str | None, found: str | None) -> str | None:
 def turned(
     points: NDArray[np.float64], frame: str | None, wanted: str | None
 ) -> tuple[NDArray[np.float64], str | None]:
-    """Points ``(n, 3)`` of a frame in the wanted one, and the frame they are in then.
+    """Points ``(n, 3)`` of a frame transformed to the wanted one, and the resulting frame.
 
     Raises:
-        MeshError: a frame is wanted, but which they are in is not known.
+        MeshError: a frame is wanted, but the points' own is not known.
     """
     if wanted is None or wanted == frame:
         return points, frame
@@ -84,8 +83,8 @@ def turned(
     return half_turn(points), wanted
 
 
-def told(frame: str | None) -> str:
-    """A frame in words for the user."""
+def frame_description(frame: str | None) -> str:
+    """A sentence part about a frame, for the user."""
     if frame == "RAS":
         return "RAS (x to the patient's right, y to the front, z up)"
     if frame == "LPS":
@@ -94,5 +93,5 @@ def told(frame: str | None) -> str:
 
 
 def half_turn(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points ``(n, 3)`` of RAS in LPS or the other way about: half a turn about z, exactly."""
+    """Points ``(n, 3)`` of RAS in LPS or the reverse: half a turn about z, exact."""
     return points * (-1.0, -1.0, 1.0) + 0.0

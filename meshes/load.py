@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from meshes import frames, packed
 from meshes.builtin.catalogue import absent, catalogue, first_use
 from meshes.builtin.shapes import Arrays
-from meshes.content import SIZE_LIMIT, Content, allowed_unpacked, check_unpacked
+from meshes.content import SIZE_LIMIT, Content, allowed_unpacked, check_unpacked, compact
 from meshes.errors import MeshError
 from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
-from meshes.units import UNITS, diagonal, settled
+from meshes.units import UNITS, diagonal, resolved_unit
 from vf.surface import Surface
 
 FREESURFER = ("pial", "white", "orig", "smoothwm", "inflated")
@@ -35,7 +35,7 @@ _READERS: dict[str, Callable[[bytes], Content]] = {
 FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf", "vtp", "vtk", "gii", *FREESURFER)
 """Ends of the names of mesh files; `.gz` may follow any of them."""
 SCENES = ("glb", "gltf")
-_BEGINNINGS = (  # in lower case, what they say, and the formats that may begin so
+_SIGNATURES = (  # first bytes in lower case, description, formats that may begin so
     (packed.MAGIC, "packed with gzip: its name should end in .gz", ()),
     (b"\xff\xff\xfe", "a FreeSurfer surface", FREESURFER),
     (b"pk\x03\x04", "a zip archive (as 3MF is)", ("3mf",)),
@@ -55,14 +55,14 @@ _BEGINNINGS = (  # in lower case, what they say, and the formats that may begin 
 
 @dataclass(frozen=True)
 class Loaded:
-    """A mesh as it was found."""
+    """A mesh as read."""
 
     arrays: Arrays
     """Vertices ``(n, 3)`` float64 [m] and faces ``(m, 3)`` int64."""
     unit: str
-    """The unit the file is in, of `UNITS`: said by the user or the file, or guessed."""
+    """The unit of the file, of `UNITS`: given by the user or the file, or assumed from the size."""
     frame: str | None
-    """The patient frame of the coordinates: "RAS", "LPS", or None where nothing says it."""
+    """The patient frame of the coordinates: "RAS", "LPS", or None if not known."""
     notes: tuple[str, ...] = ()
     """What the user should know about the file, a sentence each."""
 
@@ -100,19 +100,19 @@ def arrays(
     Files: STL, OBJ, PLY, OFF, GLB, glTF, 3MF, VTP, legacy VTK, GIfTI and FreeSurfer surfaces, also
     packed with gzip. Several bodies become one mesh, each where its scene puts it. Polygons become
     triangles, cut by their shape. Nothing is repaired or welded, except that corners at *exactly*
-    the same place are one vertex in STL, GLB and glTF, which have no way to say so; vertices that
-    no face uses are dropped. Of other files only what a glTF needs is opened, and only beside it.
+    the same place become one vertex in STL, GLB and glTF, which cannot express shared vertices;
+    unused vertices are dropped. The only other files opened are buffers of a glTF beside it.
 
     ``unit`` is "m", "cm", "mm" or "in". ``None``: metres for GLB and glTF, as their standard says,
-    millimetres for GIfTI and FreeSurfer, and what a 3MF says; otherwise millimetres or metres where
-    the size allows only one of them, told by a :class:`meshes.UnitGuess` warning. The catalogue's
-    meshes know their size, so ``unit`` does not touch them.
+    millimetres for GIfTI and FreeSurfer, the file's own unit for 3MF; otherwise millimetres or
+    metres where the size allows only one of them, with a :class:`meshes.UnitGuess` warning. The
+    catalogue's meshes ignore ``unit``.
 
     Raises :class:`meshes.MeshError` with a one-line reason: unknown name or unit, missing, empty,
     oversized or unreadable file, no triangles, non-finite vertices, face indices out of range, a
     diagonal below 0.1 mm or above 10 m, no unit where the size allows both millimetres and metres
-    (:class:`meshes.UnitNeeded`, which has both sizes). ``progress`` is called with a few words
-    before each step.
+    (:class:`meshes.UnitNeeded`, which has both sizes). ``progress`` is called with a description of
+    each step.
     """
     return read(name_or_path, unit=unit, progress=progress).arrays
 
@@ -124,10 +124,10 @@ def read(
     frame: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Loaded:
-    """The same as :func:`arrays`, with the unit (see `units.settled`) and the patient frame.
+    """The same as :func:`arrays`, with the unit (see `units.resolved_unit`) and the patient frame.
 
-    ``frame`` is "RAS" or "LPS" where the file does not say it; nothing is turned. The catalogue's
-    meshes are in "m" and in no patient's frame.
+    ``frame`` is "RAS" or "LPS" where the file does not give it; nothing is transformed. The
+    catalogue's meshes are in "m" and in no patient frame.
 
     Raises :class:`meshes.MeshError` also where ``frame`` contradicts the file.
     """
@@ -146,19 +146,19 @@ def read(
     form = kind(path.name) or ""
     try:
         content = _content(path.read_bytes(), path, form)
-        frame = frames.agreed(frame, content.frame)
+        frame = frames.combined(frame, content.frame)
         vertices, faces = _joined(content.bodies, form)
-        used_vertices, used_faces = _compact(vertices, faces)
+        used_vertices, used_faces = compact(vertices, faces)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     except OSError as error:
         raise MeshError(f"{path}: cannot be read ({error.strerror or error})") from None
-    # Whatever a reader trips over in a damaged file, the file is what is wrong. MemoryError and
-    # RecursionError are among them: counts and nesting come from the file.
+    # Any other exception of a reader is caused by a damaged file, MemoryError and RecursionError
+    # included: counts and nesting come from the file.
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise MeshError(f"{path}: cannot be read as {form.upper()} ({reason})") from error
-    unit = settled(str(path), diagonal(used_vertices), unit, content.unit)
+    unit = resolved_unit(str(path), diagonal(used_vertices), unit, content.unit)
     notes = content.notes
     if unused := len(vertices) - len(used_vertices):
         are = "1 vertex is" if unused == 1 else f"{unused:,} vertices are"
@@ -167,7 +167,7 @@ def read(
 
 
 def _check_file(path: Path, given: str) -> None:
-    """Refuse what is not a mesh file of a sensible size, before opening it."""
+    """Raise `MeshError` for what is not a mesh file of an allowed size, before it is opened."""
     formats = ", ".join(f".{suffix}" for suffix in FORMATS)
     try:
         size = path.stat().st_size if path.exists() else None
@@ -197,7 +197,7 @@ def _check_file(path: Path, given: str) -> None:
 
 
 def _content(data: bytes, path: Path, form: str) -> Content:
-    """What the reader of a format makes of a file's bytes."""
+    """The content of a file's bytes in a format, decompressed first if gzipped."""
     if data.startswith(packed.MAGIC) and path.name.lower().endswith(".gz"):
         size = len(data)
         data = packed.gunzip(data, allowed_unpacked(size))
@@ -207,19 +207,19 @@ def _content(data: bytes, path: Path, form: str) -> Content:
             return gltf.read(data, form, path.parent)
         return _READERS[form](data)
     except MeshError:
-        what, forms = _looks(data)
+        what, forms = _identified(data)
         if what and form not in forms:
             raise MeshError(f"{what}, not {form.upper()} as its name says") from None
         raise
 
 
-def _looks(data: bytes) -> tuple[str, tuple[str, ...]]:
-    """What a file is by its first bytes, and the formats that begin so; "" if that is not known."""
+def _identified(data: bytes) -> tuple[str, tuple[str, ...]]:
+    """What a file is by its first bytes, and the formats that begin so; "" if not known."""
     if data[128:132] == b"DICM":
         return "a DICOM file", ()
     begin = data[:256].lower()
     text = begin.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, what, forms in _BEGINNINGS:
+    for magic, what, forms in _SIGNATURES:
         if (begin if magic[0] > 127 or magic[0] < 32 else text).startswith(magic):
             return what, forms
     return "", ()
@@ -239,8 +239,8 @@ def _joined(bodies: list[Arrays], form: str) -> Arrays:
 
 
 def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
-    """One vertex for all that have exactly equal coordinates, in the order of the first of each."""
-    vertices = vertices + 0.0  # −0 and 0 are the same place
+    """Vertices of exactly equal coordinates joined, in the order of the first of each."""
+    vertices = vertices + 0.0  # −0 becomes 0
     order = np.lexsort(vertices.T)  # stable: equals stay in the file's order
     ranked = vertices[order]
     new = np.r_[True, (ranked[1:] != ranked[:-1]).any(axis=1)]
@@ -248,12 +248,3 @@ def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
     first[order] = order[np.flatnonzero(new)][np.cumsum(new) - 1]
     kept = first == np.arange(len(vertices))
     return vertices[kept], (np.cumsum(kept) - 1)[first][faces]
-
-
-def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
-    """Only the vertices that faces use, in their order."""
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces] = True
-    if used.all():
-        return vertices, faces
-    return vertices[used], (np.cumsum(used) - 1)[faces]

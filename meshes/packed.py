@@ -1,4 +1,4 @@
-"""Unpacking what a mesh file holds packed, never more than was checked before."""
+"""Decompression and base64 of mesh files, with limited output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAGIC = b"\x1f\x8b"  # of gzip
 
 
 def gunzip(data: bytes, most: int) -> bytes:
-    """All members of a gzip file, or as much as is longer than ``most`` bytes by some.
+    """All members of a gzip file; slightly more than ``most`` bytes if it holds more than that.
 
     Raises:
         MeshError: damaged or cut off.
@@ -35,7 +35,7 @@ def gunzip(data: bytes, most: int) -> bytes:
 
 
 def inflated(data: bytes, size: int) -> bytes:
-    """The ``size`` bytes that zlib or gzip data says it holds.
+    """The ``size`` bytes of zlib or gzip data.
 
     Raises:
         MeshError: damaged, or another number of bytes.
@@ -57,14 +57,18 @@ def _decompressed(unpacker: zlib._Decompress, data: bytes, most: int) -> bytes:
 
 
 def base64_bytes(data: bytes) -> bytes:
-    """Bytes written as base64, also several pieces that are padded each.
+    """Bytes of base64 text, also of several pieces with padding each.
 
     Raises:
         MeshError: other characters, or cut off.
     """
-    data = b"".join(data.split())
+    pieces = re.findall(rb"[^=]+={0,2}", b"".join(data.split()))
+    return b"".join(base64_piece(piece) for piece in pieces)
+
+
+def base64_piece(data: bytes) -> bytes:
+    """Bytes written as one piece of base64 without white space; raises as `base64_bytes`."""
     try:
-        pieces = re.findall(rb"[^=]+={0,2}", data)
-        return b"".join(base64.b64decode(piece, validate=True) for piece in pieces)
+        return base64.b64decode(data, validate=True)
     except binascii.Error as error:
         raise MeshError(f"its base64 data is damaged or cut off ({error})") from None

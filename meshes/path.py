@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from meshes.errors import MeshError
 
-MOST = 100_000  # points; a file with more is something else
+MOST = 100_000  # points
 
 
 def read_path(file: str | Path) -> NDArray[np.float64]:
     """A planned path: ``(k, 3)`` points [m] from a text file with x, y, z [mm] in a line.
 
-    Numbers are parted by blanks or commas; what follows a # does not count.
+    Numbers are separated by blanks or commas; # begins a comment.
 
     Raises:
         MeshError: no such file, a line that is no point, fewer than two points.

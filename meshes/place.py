@@ -1,4 +1,4 @@
-"""Where a mesh stands in the arm's base frame, and the lighter copy of it that the page draws."""
+"""The pose of a mesh in the arm's base frame, and the decimated copy that the page draws."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from meshes.errors import MeshError
 FloatArray = NDArray[np.float64]
 
 GAP = 0.015  # [m] of free space between the tip and the side to be worked on
-FARTHEST_MESH = 2.0  # [m] of a mesh's origin from the arm's base; farther is a slip of the unit
-# Turns that bring one of a mesh's own axes to +z, where the tool comes from. About x wherever
-# that can be, so that left and right stay.
+FARTHEST_MESH = 2.0  # [m] from the arm's base to a mesh's origin; farther is refused
+# Rotations of a mesh's own axis to +z, where tools come from; about x where possible, which keeps
+# left and right.
 _UP: dict[str, FloatArray] = {
     "z": np.eye(3),
     "-z": np.diag([1.0, -1.0, -1.0]),
@@ -38,7 +38,7 @@ class Pose(Protocol):
 
 
 class Display(NamedTuple):
-    """What the page draws: vertices ``(n, 3)`` [m], faces ``(m, 3)``, whether it is lighter."""
+    """What the page draws: vertices ``(n, 3)`` [m], faces ``(m, 3)``, whether decimated."""
 
     vertices: FloatArray
     faces: NDArray[np.int64]
@@ -47,10 +47,10 @@ class Display(NamedTuple):
 
 @dataclass(frozen=True)
 class Placement:
-    """How a mesh is put into the arm's base frame: turned first, then moved, never scaled.
+    """The pose of a mesh in the arm's base frame: rotated first, then translated, never scaled.
 
-    Tools come from above: +z of the base frame. The catalogue's meshes have the side to be worked
-    on towards their own +z, anatomy in head axes: x to the right, y to the front.
+    Tools come from above, +z of the base frame. The catalogue's meshes have the side to be worked
+    on at +z; anatomy is in head axes, x to the right, y to the front.
 
     Attributes:
         at: ``(x, y, z)`` [m] of the mesh's own origin in the base frame. None: automatic, the
@@ -125,8 +125,7 @@ AUTOMATIC = Placement()
 def transformed(T: ArrayLike, points: ArrayLike) -> FloatArray:
     """Points ``(n, 3)`` moved by a rigid transform ``(4, 4)``: a new array.
 
-    Whatever belongs to a mesh (`meshes.planned_path`) goes through the same transform as its
-    vertices. A transform that turns nothing is a sum alone: no coordinate is rounded twice.
+    A translation is a sum alone, so that no coordinate is rounded twice.
     """
     T, points = np.asarray(T, dtype=np.float64), np.asarray(points, dtype=np.float64)
     if np.array_equal(T[:3, :3], np.eye(3)):
@@ -137,7 +136,7 @@ def transformed(T: ArrayLike, points: ArrayLike) -> FloatArray:
 def placement(
     vertices: ArrayLike, T_base_tip_neutral: Pose | ArrayLike, gap: float = GAP
 ) -> FloatArray:
-    """The translation ``(3,)`` [m] of the automatic `Placement`, which turns nothing."""
+    """The translation ``(3,)`` [m] of the automatic `Placement`, which does not rotate."""
     return AUTOMATIC.pose(vertices, T_base_tip_neutral, gap)[:3, 3]
 
 
@@ -152,15 +151,12 @@ def place(
 def display(
     vertices: FloatArray, faces: NDArray[np.int64], limit: int = 60_000, exact: int = 100_000
 ) -> Display:
-    """What to draw: the arrays themselves up to ``exact`` triangles, else a copy of ``limit``.
+    """What to draw: the arrays up to ``exact`` triangles, else a decimated copy of ``limit``.
 
-    Control always queries the full mesh. A browser without a graphics card needs 1 ms for every
-    thousand triangles, so where the mesh is too large to be drawn as it is, a light copy does.
-    Quadric decimation keeps the shape within a fraction of an edge; degenerate leftovers do not
-    matter to a drawing. A mesh that will not shrink (open edges everywhere) is thinned by dropping
-    triangles evenly, so that the limit always holds. Decimation holds Python's interpreter for as
-    long as it works, seconds for a million triangles: beside a control loop, call this in another
-    process.
+    Control always queries the full mesh. Quadric decimation keeps the shape within a fraction of an
+    edge; where it cannot reach the limit (open edges everywhere), triangles are dropped evenly. It
+    holds the interpreter lock throughout, seconds for a million triangles: beside a control loop,
+    call this in another process.
     """
     if limit < 4:
         raise ValueError(f"limit must be at least 4 triangles, not {limit}")

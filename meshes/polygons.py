@@ -1,8 +1,8 @@
 """Polygons and strips as triangles, cut by the polygon's shape.
 
 A polygon of n corners becomes n − 2 triangles on its own corners, and each of its edges is an edge
-of exactly one of them: a surface that was closed stays closed, also where corners lie on a straight
-line. That is why this is not left to a library that drops such corners.
+of exactly one of them: a closed surface stays closed, also where corners are collinear (libraries
+that drop such corners open it).
 """
 
 from __future__ import annotations
@@ -10,27 +10,42 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.content import check_corners, cut_off
+from meshes.builtin.shapes import Arrays
+from meshes.content import check_corners, checked, cut_off
 from meshes.errors import MeshError
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Lists = tuple[IntArray, IntArray]
+"""Corners of all polygons or strips one after the other, and the number of corners of each."""
 
-MOST_WORK = 200_000_000  # sum of squared numbers of corners of polygons that are not convex: 5 s
+NO_LISTS: Lists = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+MOST_WORK = 200_000_000  # sum over non-convex polygons of the corners squared: 5 s
 _FLAT = 1e-10  # sine of an angle below which a corner counts as straight
+
+
+def body(vertices: FloatArray, polygons: Lists, strip_lists: Lists = NO_LISTS) -> Arrays:
+    """Vertices ``(n, 3)``, and the triangles of polygons and of strips.
+
+    Raises:
+        MeshError: see `content.checked` and `triangles`.
+    """
+    checked(vertices, np.empty((0, 3), dtype=np.int64))  # polygons are cut by their shape
+    corners, counts = strip_lists
+    more = strips(np.insert(corners, np.cumsum(counts)[:-1], -1))
+    return checked(vertices, np.vstack([triangles(vertices, *polygons), more]))
 
 
 def triangles(vertices: FloatArray, corners: IntArray, counts: IntArray) -> IntArray:
     """Triangles ``(m, 3)`` of polygons, in their order and with their winding.
 
-    Faces of one or two corners have no area and give none. A polygon that is not flat is cut by its
-    shape in its mean plane; one that crosses itself is cut somehow.
+    Faces of one or two corners give none. A polygon that is not flat is cut in its mean plane; how
+    one that crosses itself is cut is not defined.
 
     Args:
         vertices: ``(n, 3)``.
-        corners: of all polygons, one after the other, flat.
-        counts: corners of each polygon.
+        corners, counts: the polygons, see `Lists`.
 
     Raises:
         MeshError: a corner that is no vertex, or so many corners that it would take minutes.
@@ -63,7 +78,7 @@ def triangles(vertices: FloatArray, corners: IntArray, counts: IntArray) -> IntA
 def strips(corners: IntArray) -> IntArray:
     """Triangles ``(m, 3)`` of strips of corners, one after the other with −1 between them.
 
-    Every other triangle of a strip is turned. Those that repeat a corner only lead on: left out.
+    Every other triangle of a strip is reversed; those that repeat a corner are left out.
     """
     places = np.arange(len(corners))
     begins = np.maximum.accumulate(np.where(corners == -1, places + 1, 0))
@@ -75,10 +90,10 @@ def strips(corners: IntArray) -> IntArray:
 
 
 def unpacked(flat: IntArray, count: int, what: str) -> tuple[IntArray, IntArray, int]:
-    """Lists that each begin with their length, as ``(corners, counts, numbers used)``.
+    """``count`` lists that each begin with their length, as ``(corners, counts, numbers used)``.
 
     Raises:
-        MeshError: fewer than ``count`` lists; ``what`` they are of.
+        MeshError: fewer lists; ``what`` names them.
     """
     short = cut_off(f"{count:,} {what}")
     if count == 0:
@@ -104,7 +119,7 @@ def unpacked(flat: IntArray, count: int, what: str) -> tuple[IntArray, IntArray,
 
 
 def _fan_is_right(vertices: FloatArray, polygons: IntArray) -> NDArray[np.bool_]:
-    """Whether all triangles of a fan about the first corner look the way the polygon does."""
+    """Whether all triangles of a fan about the first corner face the polygon's way."""
     edges = vertices[polygons[:, 1:]] - vertices[polygons[:, :1]]
     areas = np.cross(edges[:, :-1], edges[:, 1:])
     normal = areas.sum(axis=1, keepdims=True)
@@ -178,10 +193,7 @@ def _clipped(x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _clip(x, y, out):  # type: ignore[no-untyped-def]
-    """Ear clipping of one polygon, the best-shaped ear first.
-
-    Cutting an ear changes only its two neighbours, so the work is quadratic.
-    """
+    """Ear clipping of one polygon, the best-shaped ear first; quadratic in the corners."""
     n = x.shape[0]
     before, after = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for j in range(n):
@@ -200,7 +212,7 @@ def _clip(x, y, out):  # type: ignore[no-untyped-def]
             if left[j] and (best < 0 or quality[j] > quality[best]):
                 best = j
         if quality[best] < 0.0:
-            # It crosses or touches itself: the sharpest corner that is convex, if any is.
+            # A polygon that crosses or touches itself: the sharpest convex corner, if any.
             sharpest = -2.0
             for j in range(n):
                 if left[j]:

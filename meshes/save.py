@@ -1,4 +1,4 @@
-"""Writing a mesh file, as exactly as its format can hold it."""
+"""Writing mesh files in the highest precision of their format."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def save(
     The suffix chooses the format. PLY, OBJ and OFF hold double precision; STL and GLB single, and
     STL corners instead of vertices. GLB is always in metres, as its standard says. ``frame``, the
     patient frame that the vertices are in ("RAS", "LPS", or None where it is not known), is written
-    as 3D Slicer reads it (`SPACE=RAS`); nothing is turned. The file appears when it is complete, or
-    not at all.
+    as 3D Slicer reads it (`SPACE=RAS`); nothing is transformed. The file is put in place when it is
+    complete.
 
     Raises:
         MeshError: unknown format, unit or frame, an existing file unless ``overwrite``, a folder
@@ -55,7 +55,7 @@ def save(
         handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem[:50]}-")
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
-        # As any new file, not as private as a temporary one.
+        # With the permissions of any new file; a temporary one is private.
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
@@ -68,11 +68,7 @@ def save(
 
 
 def check_writable(path: str | os.PathLike[str], overwrite: bool = False) -> None:
-    """Refuse what `save` would refuse by its name, before the long work.
-
-    Raises:
-        MeshError: unknown format, no such folder, or an existing file unless ``overwrite``.
-    """
+    """Raise the `MeshError` that `save` would raise for this path, before long work."""
     file = Path(path)
     if file.suffix[1:].lower() not in WRITABLE:
         choices = ", ".join(f".{kind}" for kind in WRITABLE)
@@ -107,7 +103,7 @@ def _ply(v: FloatArray, f: IntArray, comment: str) -> bytes:
 
 
 def _obj(v: FloatArray, f: IntArray, comment: str) -> bytes:
-    # The format promises no counts; these comments, MeshLab's, let a file that is cut off be told.
+    # OBJ has no counts; with these comments, as MeshLab writes them, a truncated file is detected.
     lines = [f"# {comment}", f"# Vertices: {len(v)}", f"# Faces: {len(f)}"]
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in v.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (f + 1).tolist()]

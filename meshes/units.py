@@ -1,4 +1,4 @@
-"""Which unit a mesh file is in: said, plain from the size, or to be asked."""
+"""The unit of a mesh file: given, assumed from the size, or to be asked for."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 """Metres in one of each unit."""
 
 ASSUMED = ("mm", "m")
-"""What a file that says nothing may be taken to be in, where only one of them is possible."""
+"""Units assumed for a file that names none, where the size allows only one of them."""
 
-SMALLEST, LARGEST = 1e-4, 10.0  # [m] diagonals that a surgical arm could have to do with
+SMALLEST, LARGEST = 1e-4, 10.0  # [m] allowed diagonals
 
 
 class UnitNeeded(MeshError):
-    """A mesh file says nothing about its unit, and several are possible: it has to be said.
+    """A mesh file names no unit, and its size allows several: one has to be given.
 
     Attributes:
         name: of the file.
@@ -44,11 +44,11 @@ class UnitNeeded(MeshError):
 
 
 class WrongSize(MeshError):
-    """A mesh too small or too large to be used in the unit that it is said to be in.
+    """A mesh is too small or too large in its unit.
 
     Attributes:
         diagonal: of its bounding box, in the file's unit.
-        said: the unit by the file or its format's standard, if any.
+        said: the unit given by the file or its format's standard, if any.
     """
 
     def __init__(self, reason: str, diagonal: float, said: str | None) -> None:
@@ -66,29 +66,28 @@ def diagonal(vertices: NDArray[np.float64]) -> float:
 
 
 def sizes(across: float, units: Iterable[str] = UNITS) -> dict[str, float]:
-    """The size [m] in each unit in which a mesh of this diagonal is one that can be used."""
+    """The diagonal [m] in each unit in which it is allowed."""
     every = {unit: across * UNITS[unit] for unit in units}
     return {unit: size for unit, size in every.items() if SMALLEST <= size <= LARGEST}
 
 
 def shown(size: float) -> str:
-    """A size [m] to be read: ``4.95 mm``, ``1.2 m``."""
+    """A length [m] as text: ``4.95 mm``, ``1.2 m``."""
     return f"{size:.4g} m" if size >= 1.0 else f"{size * 1e3:.4g} mm"
 
 
-def settled(name: str, across: float, unit: str | None, said: str | None = None) -> str:
-    """The unit of the file ``name`` whose diagonal is ``across``: the only place that decides.
+def resolved_unit(name: str, across: float, unit: str | None, said: str | None = None) -> str:
+    """The unit of the file ``name`` whose diagonal, in that unit, is ``across``.
 
     Args:
-        unit: what the user says; None: nothing.
-        said: what the file or its format's standard says; the user has the last word.
+        unit: given by the user, which takes precedence; or None.
+        said: given by the file or its format's standard; or None.
 
     Raises:
-        UnitNeeded: nobody says, and both millimetres and metres are possible.
+        UnitNeeded: none is given, and both millimetres and metres are possible.
         WrongSize: below 0.1 mm or above 10 m.
 
-    Where nobody says and only one of the two is possible, it is that one, told by a `UnitGuess`
-    warning.
+    If none is given and only one of the two is possible, it is assumed, with a `UnitGuess` warning.
     """
     known = unit or said
     possible = sizes(across, ASSUMED if known is None else (known,))
@@ -102,20 +101,20 @@ def settled(name: str, across: float, unit: str | None, said: str | None = None)
             across,
             said,
         )
-    (settled,) = possible
+    (only,) = possible
     if known is None:
         warnings.warn(
             f"{name} does not say its unit: with a diagonal of {across:.4g} it is taken to be in "
-            f"{settled} ({shown(possible[settled])}); say the unit ({', '.join(UNITS)}) "
+            f"{only} ({shown(possible[only])}); say the unit ({', '.join(UNITS)}) "
             "if it is another",
             UnitGuess,
             stacklevel=4,
         )
-    return settled
+    return only
 
 
 def choices(across: float, said: str | None = None) -> Mapping[str, str]:
-    """For a person to choose from: unit, and its size in words; what the file says comes first."""
+    """Labels of the units to choose from, with the sizes; the file's own unit first."""
     found = sizes(across)
     order = sorted(found, key=lambda unit: unit != said)
     return {

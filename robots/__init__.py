@@ -1,4 +1,4 @@
-"""Arms as Pinocchio models behind one small class, with their inverses and drawings."""
+"""Arms: Pinocchio models with inverse kinematics and drawings."""
 
 from robots.arm import Arm, Unreachable
 from robots.catalogue import load, names

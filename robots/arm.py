@@ -15,20 +15,19 @@ from robots.drawing import Body, Drawing
 FloatArray = NDArray[np.float64]
 
 Inverse = Callable[["Arm", pin.SE3, FloatArray], FloatArray]
-"""Finds the joint vector of a tip pose, near a start; both are checked before the call."""
+"""The joint vector of a tip pose near a start, both valid."""
 
 _ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 class Unreachable(ValueError):
-    """No joint vector within the limits puts the tip at the asked pose; the message says why."""
+    """No joint vector within the limits has the given tip pose; the message gives the reason."""
 
 
 class Arm:
     """A serial arm with a tool tip. Lengths in m, angles in rad, poses in the arm's base frame.
 
-    Not thread-safe: an `Arm` owns Pinocchio's workspace, which every call writes. Give each
-    thread its own `copy()`.
+    Not thread-safe: every call writes Pinocchio's workspace. Give each thread its own `copy()`.
 
     Attributes (arrays are read-only, `(n,)`, float64):
         name:     the name it was loaded under.
@@ -73,7 +72,7 @@ class Arm:
             raise ValueError(f"arm {name!r}: the rest pose {self.neutral} breaks the joint limits")
 
     def copy(self) -> Arm:
-        """An equal arm with a workspace of its own, for another thread."""
+        """A copy with its own workspace, for another thread."""
         return Arm(
             self.name,
             self._model,
@@ -99,9 +98,9 @@ class Arm:
         )
 
     def kinematics(self, q: ArrayLike) -> tuple[pin.SE3, FloatArray]:
-        """`(tip(q), jacobian(q))` from one pass over the arm: the call for the control loop."""
+        """`(tip(q), jacobian(q))` from one pass over the arm, for the control loop."""
         q = self._checked(q)
-        # The Jacobian leaves the joints' placements behind, so the tip costs one product more.
+        # This updates the joints' placements too.
         J = pin.computeFrameJacobian(self._model, self._data, q, self._tip, _ALIGNED)
         return pin.updateFramePlacement(self._model, self._data, self._tip), J
 
@@ -117,8 +116,8 @@ class Arm:
     def inverse(self, pose: pin.SE3, start: ArrayLike | None = None) -> FloatArray:
         """A joint vector within the limits whose tip is at `pose`.
 
-        Of several solutions the one near `start` (`neutral` by default) is taken. Raises
-        `Unreachable` where there is none, `ValueError` for a pose that is not one.
+        Of several solutions the one near `start` (`neutral` by default). Raises `Unreachable` where
+        there is none, `ValueError` for an invalid pose.
         """
         rotation = pose.rotation
         if not (np.isfinite(pose.translation).all() and np.isfinite(rotation).all()):
@@ -129,7 +128,7 @@ class Arm:
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """What to draw. Built at the first use (fractions of a second), then shared."""
+        """The bodies to draw, built at the first use (fractions of a second)."""
         return self._drawing().bodies
 
     def placements(self, q: ArrayLike) -> FloatArray:
@@ -146,7 +145,7 @@ class Arm:
 
     def _checked(self, q: ArrayLike) -> FloatArray:
         vector = np.asarray(q, dtype=np.float64)
-        # The cheapest finite test: any NaN or infinity survives in a sum.
+        # The fastest test: a sum with NaN or infinity is not finite.
         if vector.shape != self._shape or not isfinite(sum(vector.tolist())):
             raise ValueError(
                 f"{self.name} needs {self._shape[0]} finite joint values "
@@ -158,6 +157,22 @@ class Arm:
 def _viewer_pose(T: pin.SE3) -> FloatArray:
     x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(T)
     return np.array([qw, qx, qy, qz, x, y, z])
+
+
+def add_joint(
+    model: pin.Model,
+    parent: int,
+    joint: pin.JointModel,
+    T_parent_joint: pin.SE3,
+    name: str,
+    limits: tuple[float, float],
+    speed: float,
+) -> int:
+    """Add a joint with position limits [rad or m] and a speed limit [rad/s or m/s]; its index."""
+    lower, upper = limits
+    effort = 1.0  # required, not used
+    bounds = (np.array([value]) for value in (effort, speed, lower, upper))
+    return int(model.addJoint(parent, joint, T_parent_joint, name, *bounds))
 
 
 def _read_only(values: ArrayLike) -> FloatArray:

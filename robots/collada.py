@@ -1,7 +1,6 @@
-"""Reads the plain part of a Collada file (.dae) that robot meshes use: triangles and colours.
+"""Reading Collada (.dae) as used by example-robot-data.
 
-Enough for the arms of example-robot-data, and no more: node matrices, indexed triangles, one
-diffuse colour a material. It saves a dependency for the sake of two pictures.
+Supported are node matrices, indexed triangles, and one diffuse colour per material.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ def read(path: Path) -> list[Part]:
     """
     root = ElementTree.parse(path).getroot()
     if root.findtext("c:asset/c:up_axis", "Y_UP", _NS) != "Z_UP":
-        raise ValueError(f"{path}: only Collada files with z up are understood")
+        raise ValueError(f"{path}: only Collada files with z up are supported")
     unit = root.find("c:asset/c:unit", _NS)
     scale = 1.0 if unit is None else float(unit.get("meter", "1"))
     by_id = {"#" + e.get("id", ""): e for e in root.iter() if e.get("id")}
@@ -39,7 +38,7 @@ def read(path: Path) -> list[Part]:
             }
             mesh = by_id[instance.get("url", "")].find("c:mesh", _NS)
             if mesh is None or mesh.find("c:polylist", _NS) is not None:
-                raise ValueError(f"{path}: only Collada meshes made of triangles are understood")
+                raise ValueError(f"{path}: only Collada meshes of triangles are supported")
             for triangles in mesh.iterfind("c:triangles", _NS):
                 vertices, faces = _triangles(by_id, triangles)
                 color = colors.get(triangles.get("material", ""), (0.7, 0.7, 0.7))

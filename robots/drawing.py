@@ -1,4 +1,4 @@
-"""What an arm looks like: triangle meshes, each moving with a frame. Knows nothing of a viewer."""
+"""The drawing of an arm: triangle meshes that move with frames, and solids to build them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 Color = tuple[int, int, int]
 
 CREASE = np.deg2rad(30.0)
-"""Edges sharper than this [rad] stay visible edges under smooth shading."""
+"""Angle [rad] above which an edge stays sharp under smooth shading."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Body:
 
     Attributes:
         name:     unique within the arm.
-        frame:    what it moves with: "universe" (the base), a joint's name, or a passive link's.
+        frame:    "universe" (the base), a joint's name, or a passive link's name.
         color:    red, green, blue, 0–255.
-        vertices: (n, 3) float32 [m] in that frame, read-only. Corners are split at creases, so
-                  normals averaged over shared vertices shade it right.
+        vertices: (n, 3) float32 [m] in that frame, read-only. Vertices are split at creases, for
+                  smooth shading by vertex normals.
         faces:    (m, 3) uint32, read-only, counter-clockwise seen from outside.
     """
 
@@ -38,7 +38,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Drawing:
-    """The bodies of an arm, and where its passive links are for a joint vector `(n,)`."""
+    """The bodies of an arm, and the poses of its passive links for a joint vector `(n,)`."""
 
     bodies: tuple[Body, ...]
     passive: Callable[[NDArray[np.float64]], Mapping[str, pin.SE3]] = lambda q: {}
@@ -55,7 +55,7 @@ def body(name: str, frame: str, color: Color, *parts: trimesh.Trimesh) -> Body:
 
 
 def split_creases(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same triangles with vertices shared only across edges flatter than `CREASE`."""
+    """The mesh with vertices split at edges sharper than `CREASE`."""
     if len(mesh.faces) == 0:
         return mesh
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)
@@ -67,7 +67,7 @@ def hull(points: ArrayLike) -> trimesh.Trimesh:
 
 
 def box(low: ArrayLike, high: ArrayLike, chamfer: float = 0.0) -> trimesh.Trimesh:
-    """An axis-aligned box between two corners [m], its edges broken by `chamfer` [m]."""
+    """An axis-aligned box between two corners [m], its edges chamfered by `chamfer` [m]."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     shrunk = np.full((3, 3), chamfer)
     np.fill_diagonal(shrunk, 0.0)

@@ -9,19 +9,19 @@ import pinocchio as pin
 
 from robots.arm import Arm, FloatArray, Unreachable
 
-_LENGTH = 0.2  # [m/rad] how far off in position is as bad as one radian off in rotation
-_CLOSE = 1e-9  # [m] weighed error at which an answer counts as exact
+_LENGTH = 0.2  # [m/rad] weight of a rotation error against a position error
+_CLOSE = 1e-9  # [m] weighted error of a solution
 _ITERATIONS = 200
 _RESTARTS = 40
-_STEP = 0.5  # [rad] the longest step of a joint in one iteration
-_STALLED = 1e-12  # [rad] steps below this lead nowhere
+_STEP = 0.5  # [rad] largest step of a joint in one iteration
+_STALLED = 1e-12  # [rad] step at which the iteration ends
 
 
 def inverse(arm: Arm, pose: pin.SE3, start: FloatArray) -> FloatArray:
-    """Levenberg–Marquardt from `start`; joints stopped at a limit are left out of the step.
+    """Levenberg–Marquardt from `start`; joints at a limit are excluded from the step.
 
-    If that ends in a local minimum it begins again from the rest pose, then from random joint
-    vectors (the same ones each time). Raises `Unreachable` when none of them gets there.
+    From a local minimum it restarts at the rest pose, then at fixed pseudo-random joint vectors.
+    Raises `Unreachable` when none of them converges.
     """
     best = np.inf
     for q_0 in _starts(arm, start):
@@ -44,7 +44,7 @@ def _starts(arm: Arm, start: FloatArray) -> Iterator[FloatArray]:
 
 
 def _descend(arm: Arm, pose: pin.SE3, q: FloatArray) -> tuple[FloatArray, float]:
-    """The last joint vector and its weighed error [m]."""
+    """The last joint vector and its weighted error [m]."""
     residual, J = _residual(arm, pose, q)
     error = float(np.linalg.norm(residual))
     damping = 1e-3
@@ -69,12 +69,12 @@ def _descend(arm: Arm, pose: pin.SE3, q: FloatArray) -> tuple[FloatArray, float]
 def _free_step(
     arm: Arm, q: FloatArray, J: FloatArray, residual: FloatArray, damping: float
 ) -> FloatArray:
-    """The damped step over the joints that it does not push out of their limits."""
+    """The damped step of the joints that it does not move beyond their limits."""
     step = np.zeros_like(q)
     free = np.ones(q.size, dtype=bool)
     for _ in range(q.size):
         J_free = J[:, free]
-        # Stacked rather than as normal equations: those are singular to rounding for seven joints.
+        # Normal equations would be numerically singular for seven joints.
         rows = np.vstack((J_free, np.sqrt(damping) * np.eye(J_free.shape[1])))
         wanted = np.concatenate((residual, np.zeros(J_free.shape[1])))
         step[:] = 0.0
@@ -89,7 +89,7 @@ def _free_step(
 
 
 def _residual(arm: Arm, pose: pin.SE3, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weighed pose error and Jacobian [m], both along the base frame's axes."""
+    """Weighted pose error and Jacobian [m], along the base frame's axes."""
     tip, J = arm.kinematics(q)
     turn = pin.log3(pose.rotation @ tip.rotation.T)
     J[3:] *= _LENGTH

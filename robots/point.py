@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 
-from robots.arm import Arm, FloatArray, Unreachable
+from robots.arm import Arm, FloatArray, Unreachable, add_joint
 from robots.drawing import Drawing, ball, body, rod
 
-REACH = 0.3  # [m] either way along each axis
+REACH = 0.3  # [m] in both directions of each axis
 SPEED = 0.2  # [m/s] per axis, the PSM's insertion speed
-_ROUNDING = 1e-9  # [m] by which a pose on the limit may miss it
+_ROUNDING = 1e-9  # [m] tolerance of a pose on the limit
 
 
 def load() -> Arm:
@@ -26,16 +26,7 @@ def load() -> Arm:
     for axis, kind in zip(
         "xyz", (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ), strict=True
     ):
-        parent = model.addJoint(
-            parent,
-            kind(),
-            pin.SE3.Identity(),
-            axis,
-            np.array([1.0]),  # effort, unused: the sandbox is kinematic
-            np.array([SPEED]),
-            np.array([-REACH]),
-            np.array([REACH]),
-        )
+        parent = add_joint(model, parent, kind(), pin.SE3.Identity(), axis, (-REACH, REACH), SPEED)
     model.addFrame(pin.Frame("tip", parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     return Arm("point", model, "tip", np.zeros(3), _inverse, _drawing)
 

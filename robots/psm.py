@@ -25,7 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from robots import psm_drawing
-from robots.arm import Arm, FloatArray, Unreachable
+from robots.arm import Arm, FloatArray, Unreachable, add_joint
 
 INSERTION_OFFSET = 0.4318 - 0.4162  # [m] insertion at which the wrist is at the remote centre
 WRIST_LENGTH = 0.0091  # [m] wrist-pitch axis to wrist-yaw axis
@@ -48,9 +48,9 @@ _JOINTS = (
     ("wrist_yaw", "R", _TURN, (WRIST_LENGTH, 0.0, 0.0), (-1.396, 1.396), 6 * pi),
 )
 
-_MATCH = 1e-8  # [m, rad] a branch is a solution when its forward kinematics agrees this well
-_SINGULAR = 1e-9  # [m] below this a direction cannot be told from rounding
-_ROUNDING = 1e-9  # [m, rad] by which a joint on its limit may miss it
+_MATCH = 1e-8  # [m, rad] largest error of the forward kinematics of a solution
+_SINGULAR = 1e-9  # [m] shortest vector whose direction is defined
+_ROUNDING = 1e-9  # [m, rad] tolerance of a joint on its limit
 
 
 def load() -> Arm:
@@ -58,28 +58,21 @@ def load() -> Arm:
     model = pin.Model()
     model.name = "psm"
     parent = 0
-    for name, kind, rotation, translation, (lower, upper), speed in _JOINTS:
-        parent = model.addJoint(
-            parent,
-            pin.JointModelPZ() if kind == "P" else pin.JointModelRZ(),
-            pin.SE3(rotation, np.array(translation)),
-            name,
-            np.array([1.0]),  # effort, unused: the sandbox is kinematic
-            np.array([speed]),
-            np.array([lower]),
-            np.array([upper]),
-        )
+    for name, kind, rotation, translation, limits, speed in _JOINTS:
+        joint = pin.JointModelPZ() if kind == "P" else pin.JointModelRZ()
+        T_parent_joint = pin.SE3(rotation, np.array(translation))
+        parent = add_joint(model, parent, joint, T_parent_joint, name, limits, speed)
     T_wrist_tip = pin.SE3(_TIP, np.array([0.0, TIP_LENGTH, 0.0]))
     model.addFrame(pin.Frame("tip", parent, T_wrist_tip, pin.FrameType.OP_FRAME))
     return Arm("psm", model, "tip", NEUTRAL, inverse, psm_drawing.drawing)
 
 
 def inverse(arm: Arm, pose: pin.SE3, start: FloatArray) -> FloatArray:
-    """Closed form: of all branches within the limits the one quickest to reach from `start`.
+    """Closed form: of all branches within the limits the one reached soonest from `start`.
 
     The wrist-pitch axis is perpendicular to the shaft, which passes through the base's origin, and
-    to the wrist-yaw axis; both leave it only one direction up to sign. Fails where that direction
-    is not defined: the wrist on the remote centre, or the yaw axis pointing at it.
+    to the wrist-yaw axis, which determines it up to sign. `Unreachable` where it is not defined:
+    the wrist on the remote centre, or the yaw axis through it.
     """
     candidates = [q for branch in _branches(pose) for q in _turns(arm, branch)]
     solutions = [q for q in candidates if _matches(arm, q, pose)]
@@ -124,7 +117,7 @@ def _branches(pose: pin.SE3) -> list[FloatArray]:
 
 
 def _turns(arm: Arm, q: FloatArray) -> list[FloatArray]:
-    """`q`, and the same a full turn of the roll joint away: its range is wider than a turn."""
+    """`q` with the roll joint as it is and a full turn more and less: its range exceeds a turn."""
     return [q + np.array([0, 0, 0, turn, 0, 0]) for turn in (0.0, 2 * pi, -2 * pi)]
 
 

@@ -1,14 +1,14 @@
-"""The PSM's looks: solids that move with its joints and with the links of its parallelogram.
+"""The PSM's drawing: solids that move with its joints and the links of its parallelogram.
 
-The real arm carries the tool on a double parallelogram, which keeps the shaft on the remote centre
-O without any part there. In the plane of yaw, with u = (0, −1, 0) along the yaw axis towards the
-base, w = (−sin q1, 0, cos q1) across it, and φ = 0.2904 − q2:
+A double parallelogram keeps the shaft on the remote centre O without any part there. In the plane
+of yaw, with u = (0, −1, 0) along the yaw axis towards the base, w = (−sin q1, 0, cos q1) across it,
+and φ = 0.2904 − q2:
 
     A = 0.516 u                          the crank's pivot on the yoke
     B = A + 0.150 (sin φ u + cos φ w)    the crank's end
     C = B − 0.516 u                      the pin on the carrier, which turns about O by q2
 
-Dimensions [m] follow public drawings of the dVRK; shapes are ours.
+Dimensions [m] follow public drawings of the dVRK; the shapes are simplified.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _R_BASE_INSERTION = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.
 
 @cache
 def drawing() -> Drawing:
-    """The bodies, and the passive links "yoke", "crank", "upper_rod" and "lower_rod"."""
+    """The bodies, with the passive links "yoke", "crank", "upper_rod" and "lower_rod"."""
     parts = (_base(), _yoke(), _crank(), _rods(), _carrier(), _tool(), _wrist())
     return Drawing(tuple(b for part in parts for b in part), passive)
 
@@ -51,8 +51,8 @@ def drawing() -> Drawing:
 def passive(q: NDArray[np.float64]) -> dict[str, pin.SE3]:
     """Poses of the passive links in the base frame for a joint vector `(6,)`.
 
-    All have x along the pitch axis. "yoke" sits at O, z along w; "crank" at A, z towards B;
-    "upper_rod" at B and "lower_rod" at its pin, both with y along −u.
+    All have x along the pitch axis. Origins: "yoke" O, z along w; "crank" A, z towards B;
+    "upper_rod" B and "lower_rod" its pin, both with y along −u.
     """
     c, s = cos(q[0]), sin(q[0])
     R_yoke = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
@@ -95,7 +95,7 @@ def _base() -> tuple[Body, ...]:
 
 
 def _yoke() -> tuple[Body, ...]:
-    """Turns with yaw; two cheeks hold the crank's pivot A, the pitch drive beside it."""
+    """Moves with yaw: two cheeks with the crank's pivot A, and the pitch drive."""
     cheeks = [
         hull(
             np.vstack(
@@ -125,7 +125,7 @@ def _yoke() -> tuple[Body, ...]:
 
 
 def _crank() -> tuple[Body, ...]:
-    """Two plates from A to B, and the three pins they carry."""
+    """Two plates from A to B, and three pins."""
     ends = ((0, 0, 0), (0, 0, CRANK_LENGTH))
     plates = [bar(ends, (0.026, 0.020), x, 0.002) for x in ((-0.034, -0.025), (0.025, 0.034))]
     pins = [
@@ -136,7 +136,7 @@ def _crank() -> tuple[Body, ...]:
 
 
 def _rods() -> tuple[Body, ...]:
-    """The upper rod BC, and the lower one beside it, which keeps the carrier parallel."""
+    """The upper rod BC, and the lower rod, which keeps the carrier parallel."""
     ends = ((0, 0, 0), (0, ROD_LENGTH, 0))
     sides = ((-0.0225, -0.0155), (0.0155, 0.0225))
     return (
@@ -154,9 +154,9 @@ def _rods() -> tuple[Body, ...]:
 
 
 def _carrier() -> tuple[Body, ...]:
-    """Turns about the remote centre by pitch: fork on the rods, insertion rail, cannula.
+    """Moves with pitch about the remote centre: fork, insertion rail, cannula.
 
-    Solids are laid out as the arm stands at q = 0: z up along the shaft, −y towards the base.
+    Solids are given for q = 0: z up along the shaft, −y towards the base.
     """
     upright = np.array([0.0, -sin(CRANK_ANGLE), cos(CRANK_ANGLE)])
     upper, lower = CRANK_LENGTH * upright, LOWER_PIN * upright
@@ -187,7 +187,7 @@ def _carrier() -> tuple[Body, ...]:
 
 def _tool() -> tuple[Body, ...]:
     """The instrument's housing on its carriage; the shaft turns with roll."""
-    # In the insertion frame turned upright: housing z −90 … +7 mm, the carriage behind it.
+    # In the insertion frame with z up: housing z −90 … +7 mm, the carriage behind it.
     lid = box((-0.034, -0.0215, -0.070), (0.034, 0.0215, 0.007), 0.006)
     nose = hull(
         np.vstack(
@@ -254,7 +254,7 @@ def _neck() -> list[tuple[float, float, float]]:
 
 
 def _blade() -> trimesh.Trimesh:
-    """A scalpel's outline in the x-y plane, ground to an edge on its belly."""
+    """A scalpel blade in the x-y plane, its edge on the convex side."""
     back = [(0.0011, 0.0034), (0.0011, 0.0070)]
     turn = np.linspace(0.0, pi / 2, 9)
     belly = [(0.0 - 0.0015 * cos(t), 0.0050 + 0.0052 * sin(t)) for t in turn]
@@ -265,7 +265,7 @@ def _blade() -> trimesh.Trimesh:
 
 
 def _upright(name: str, frame: str, color: tuple[int, int, int], *parts: trimesh.Trimesh) -> Body:
-    """A body whose solids are laid out along the base frame's axes of q = 0."""
+    """A body whose solids are given along the base frame's axes at q = 0."""
     R = {"pitch": _R_BASE_PITCH, "insertion": _R_BASE_INSERTION}[frame]
     T = np.eye(4)
     T[:3, :3] = R.T

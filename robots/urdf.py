@@ -1,7 +1,7 @@
 """Franka Panda and UR5 from the URDF files of the package example-robot-data, each with a probe.
 
-The files end at the hand or at the bare flange. A rigid slim probe is added there, along the
-approach direction (+z), so that the arm has a tool and its tip is where that tool visibly ends.
+The files end at the hand or the flange, where a rigid probe is added along +z; its point is the
+arm's tip.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def load_panda() -> Arm:
 def load_ur5() -> Arm:
     """Universal Robots UR5 with a probe of `PROBE_LENGTH` on its flange; tip: the probe's point.
 
-    At rest the elbow is up and the probe points straight down, its tip 0.45 m in front of the
-    base's axis and 0.25 m above its foot.
+    At rest the elbow is up and the probe points down, its tip 0.45 m in front of the base's axis
+    and 0.25 m above its foot.
     """
     shoulder, elbow = -1.638, 1.846
     neutral = (0.0, shoulder, elbow, -pi / 2 - shoulder - elbow, -pi / 2, 0.0)
@@ -71,7 +71,7 @@ def _probe_drawing(urdf: str, locked: tuple[str, ...], holder: str, socket: floa
     frame = model.frames[model.getFrameId(holder)]
     waist = [0.0, 0.0, PROBE_LENGTH - _POINT_LENGTH]
     parts = [
-        # Between the fingers it reaches back a little, to be seen held by them.
+        # It begins between the fingers.
         rod([0.0, 0.0, 0.0 if socket else -0.015], waist, _PROBE_RADIUS),
         rod(waist, [0.0, 0.0, PROBE_LENGTH], _PROBE_RADIUS, end_radius=1e-4),
     ]
@@ -113,13 +113,13 @@ def _panda_drawing() -> Drawing:
 
 @cache
 def _ur5_drawing() -> Drawing:
-    # These files were written with linear colours; shown as they are the arm would be near black.
+    # These files hold linear colours, not sRGB.
     probe = _probe_drawing(_UR5, (), _UR5_HOLDER, socket=0.025)
     return Drawing((*_bodies(_UR5, (), linear=True), probe))
 
 
 def _bodies(urdf: str, locked: tuple[str, ...], linear: bool) -> tuple[Body, ...]:
-    """The visual meshes as bodies of one colour, thinned to the triangle budget."""
+    """The visual meshes as bodies of one colour, decimated to `_TRIANGLES`."""
     model = _model(urdf)
     share = str(_share())
     visual = pin.buildGeomFromUrdf(
@@ -137,13 +137,13 @@ def _bodies(urdf: str, locked: tuple[str, ...], linear: bool) -> tuple[Body, ...
     total = sum(len(mesh.faces) for meshes in merged.values() for mesh in meshes)
     keep = min(1.0, _TRIANGLES / total)
     return tuple(
-        body(f"{frame}_{i}", frame, color, *[_thinned(mesh, keep) for mesh in meshes])
+        body(f"{frame}_{i}", frame, color, *[_decimated(mesh, keep) for mesh in meshes])
         for i, ((frame, color), meshes) in enumerate(merged.items())
     )
 
 
-def _thinned(mesh: trimesh.Trimesh, keep: float) -> trimesh.Trimesh:
-    """The mesh with about `keep` of its triangles; small ones stay whole."""
+def _decimated(mesh: trimesh.Trimesh, keep: float) -> trimesh.Trimesh:
+    """The mesh decimated to a share `keep` of its triangles; small ones are unchanged."""
     if keep >= 1.0 or len(mesh.faces) < 200:
         return mesh
     vertices, faces = fast_simplification.simplify(

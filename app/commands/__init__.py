@@ -1,12 +1,11 @@
-"""The commands of `vf-sandbox`: one module each, imported only when it is asked for.
+"""The commands of `vf-sandbox`: one module each, imported on demand.
 
-A module has `KINDS`: for each kind of the command the dataclass of its options, whose docstring is
-its help, and the function that does it and returns the exit code. A command without kinds has one,
-named "". `MISSING`, if it is there, says what to do where a library is not installed.
+A module has `KINDS`: for each subcommand the dataclass of its options, whose docstring is its help,
+and the function that runs it and returns the exit code. A command without subcommands has one entry
+named "". The optional `MISSING` says how to install a missing library.
 
-The first words are told apart here and not by tyro: its subcommands need the options of all
-commands, and so all their modules, to print help or to refuse a name; and without a command the
-words are the page's own options.
+Commands are dispatched here and not by tyro, whose subcommands would need the modules of all
+commands to print help or to refuse a name.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ COMMANDS = {
     "verify": "Attack the fixtures with adversarial hands and judge every step by an independent "
     "oracle.",
 }
-"""Each with its line of help."""
+"""Help of each command."""
 
 
 def call(command: str, words: list[str]) -> int:
@@ -69,10 +68,10 @@ def call(command: str, words: list[str]) -> int:
 
 
 def one_of(known: Mapping[str, str], word: str, more: str = "") -> str:
-    """The word, if it is known.
+    """The word, if it is a known command.
 
     Raises:
-        OptionError: it is not.
+        OptionError: an unknown command.
     """
     if word not in known:
         raise OptionError(f"unknown command '{word}': choose one of {', '.join(known)}{more}")
@@ -80,7 +79,7 @@ def one_of(known: Mapping[str, str], word: str, more: str = "") -> str:
 
 
 def listing(known: Mapping[str, str]) -> str:
-    """Names with a line or two on each, in 79 columns."""
+    """Names with their help, in 79 columns."""
     width = max(map(len, known))
     return "\n".join(
         textwrap.fill(
@@ -94,16 +93,16 @@ def listing(known: Mapping[str, str]) -> str:
 
 
 def answer(program: str, work: Callable[[], int]) -> int:
-    """The exit code of some work; what a user can act upon is said in one line instead of raised.
+    """The exit code of some work; expected errors are printed in one line instead of raised.
 
     Args:
-        program: as it was called, such as "vf-sandbox mesh".
+        program: prefix of the message, such as "vf-sandbox mesh".
     """
     try:
         return work()
     except BrokenPipeError:
-        raise  # nobody reads what is printed: see `console.closing`
-    except SystemExit as end:  # after help, or what is no option
+        raise  # handled by `console.closing`
+    except SystemExit as end:  # after help or a usage error
         return end.code if isinstance(end.code, int) else USAGE_ERROR
     except MemoryError:
         return _complain(program, "there is not enough memory for that")
@@ -112,7 +111,7 @@ def answer(program: str, work: Callable[[], int]) -> int:
 
 
 def interrupted(program: str, so_far: str) -> int:
-    """Say what an interrupted command leaves; returns its exit code."""
+    """Print what an interrupted command has done so far; returns its exit code."""
     print(f"{program}: interrupted: {so_far}", file=sys.stderr)
     return INTERRUPTED
 

@@ -43,10 +43,10 @@ def measure(options: Any) -> int:
     except NoBrowser as error:
         raise OptionError(str(error)) from None
     if result.get("interrupted"):
-        # Nothing is written: an earlier whole result is worth more than a part.
+        # Nothing is written, so that an earlier complete result is kept.
         return interrupted(f"{PROGRAM} {name}", "this is what there was so far, it is not written")
     if isinstance(options, Peers):
-        # A peer may be wrong, and says so in its row; ours may not.
+        # A wrong answer of another library is shown in its row; ours is an error.
         ours = [entry for task in result["tasks"] for entry in task["entries"] if entry["ours"]]
         return 0 if all(entry["agrees"] for entry in ours) else WRONG_ANSWER
     return GREW if result.get("complaints") else 0
@@ -105,12 +105,12 @@ def _shown(
     console: Console,
     work: Callable[[Callable[[str], None], Callable[[float], None]], dict[str, Any]],
 ) -> dict[str, Any]:
-    """Do the work under a progress bar."""
+    """Run the work with a progress bar."""
     with progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
-        refresh=2,  # drawing takes the interpreter from what is being measured
+        refresh=2,  # drawing competes with the measured code
     ) as shown:
         bar = shown.add_task("starting", total=1.0)
 

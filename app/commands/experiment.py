@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PROGRAM = "vf-sandbox experiment"
 BROKEN = 1
-ENOUGH = 0.95  # of the seeds must find the fixture significantly better
+ENOUGH = 0.95  # least share of the seeds with a significant improvement
 GUARDS = RULES[1:]
 
 MISSING = "pip install 'vf-sandbox[experiments,study]'"
@@ -34,7 +34,7 @@ MISSING = "pip install 'vf-sandbox[experiments,study]'"
 
 @dataclass(frozen=True)
 class Experiment(Checked):
-    """Options that tracing and cutting share."""
+    """Common options of tracing and cutting."""
 
     trials: int | None = option(
         Maybe(Whole(1, 10_000)), None,
@@ -91,7 +91,7 @@ class Calibrate(Checked):
 
 @dataclass(frozen=True)
 class Replay(Checked):
-    """Do one trial again and open it in the page, where it is played in real time."""
+    """Repeat one trial and play it on the page in real time."""
 
     experiment: str = like(Trial, "experiment", "cutting", "Which of the two.")
     rule: str = like(
@@ -127,7 +127,7 @@ def _compare(options: Experiment) -> int:
     ]  # fmt: skip
     outcomes = _shown(trials)
     whole = len(outcomes) == len(trials)
-    outcomes = outcomes[: len(outcomes) // 2 * 2]  # each with the fixture has its one without
+    outcomes = outcomes[: len(outcomes) // 2 * 2]  # complete pairs without and with the fixture
     if not outcomes:
         return interrupted(f"{PROGRAM} {experiment}", "before a trial was done in both modes")
     report.show(outcomes, console)
@@ -143,7 +143,7 @@ def _compare(options: Experiment) -> int:
 
 
 def _shown(trials: list[Trial]) -> list[Outcome]:
-    """Do trials one after the other under a progress bar; fewer if it was interrupted."""
+    """Run trials one after the other with a progress bar; fewer if it is interrupted."""
     from app.studies.experiments import protocol
 
     outcomes: list[Outcome] = []

@@ -130,7 +130,7 @@ class FromVolume(Checked):
 
 
 def _list(_options: List) -> int:
-    """A line for each mesh as soon as it is made: some take seconds the first time."""
+    """Print each mesh as soon as it is made: some take seconds the first time."""
     import numpy as np
 
     import meshes
@@ -171,7 +171,7 @@ def _list(_options: List) -> int:
 def examined(
     name: str, unit: str | None, frame: str | None, examine: int, progress: Callable[[str], None]
 ) -> tuple[Health, str, str | None, list[str]]:
-    """The report on a mesh, its unit and frame, and what its loader has to say."""
+    """The report on a mesh, its unit and frame, and the notes of its loader."""
     import meshes
 
     progress(f"reading {name}")
@@ -183,7 +183,7 @@ def examined(
 def mended(
     options: Repair, progress: Callable[[str], None]
 ) -> tuple[Changes, int, str, str | None, list[str]]:
-    """Repair a mesh and write it: changes, triangles that are left, unit, frame, and notes."""
+    """Repair a mesh and write it: changes, remaining triangles, unit, frame, and notes."""
     import meshes
     from meshes import frames
     from meshes.save import save
@@ -202,10 +202,10 @@ def mended(
     return result.changes, len(result.faces), found.unit, frame, notes
 
 
-def _aside(name: str, work: Callable[..., Any]) -> Any:
-    """What the work on a mesh returns, in a process with an allowance unless the mesh is small.
+def _run(name: str, work: Callable[..., Any]) -> Any:
+    """The result of the work on a mesh, in a process with limits unless the mesh is light.
 
-    The last of it are the notes, which are told on stderr.
+    The last item of the result, the notes, is printed on stderr.
     """
     from app.scene import worker
 
@@ -223,12 +223,16 @@ def _check(options: Check) -> int:
     import meshes
 
     work = partial(examined, options.mesh, options.unit, options.frame, options.examine)
-    report, unit, frame, notes = _aside(options.mesh, work)
+    report, unit, frame, notes = _run(options.mesh, work)
     if options.json:
         about = {"mesh": options.mesh, "unit": unit, "frame": frame, "notes": notes}
         print(json.dumps({**about, **report.as_dict()}, indent=1))
     else:
-        told = "of no patient" if options.mesh in meshes.catalogue() else meshes.told(frame)
+        told = (
+            "of no patient"
+            if options.mesh in meshes.catalogue()
+            else meshes.frame_description(frame)
+        )
         _print_report(new_console(), options.mesh, report, told)
     return SOUND if report.sound else DEFECTS
 
@@ -277,7 +281,7 @@ def _repair(options: Repair) -> int:
 
     check_writable(options.out, options.overwrite)
     frames.chosen(options.write_frame)
-    changes, triangles, unit, frame, _ = _aside(options.mesh, partial(mended, options))
+    changes, triangles, unit, frame, _ = _run(options.mesh, partial(mended, options))
     console = new_console()
     for line in changes.lines() or ("nothing to mend",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
@@ -296,8 +300,7 @@ def _repair(options: Repair) -> int:
 def _from_volume(options: FromVolume) -> int:
     import numpy as np
 
-    from meshes import volume
-    from meshes.frames import told
+    from meshes import frame_description, volume
     from meshes.save import check_writable, save
 
     if options.level is not None and options.label is not None:
@@ -311,7 +314,8 @@ def _from_volume(options: FromVolume) -> int:
             field, level = volume.one_label(grid, options.label), volume.MIDDLE
         if level is None:
             raise OptionError(
-                f"{options.source}: give --level, or --label for a label map: {volume.told(grid)}"
+                f"{options.source}: give --level, or --label for a label map: "
+                f"{volume.describe_values(grid)}"
             )
         vertices, faces = volume.surface(
             field, level, smooth=options.smooth, largest=options.largest, progress=say
@@ -328,14 +332,14 @@ def _from_volume(options: FromVolume) -> int:
     console.print(f"read: {escape(options.source)}, {shape} voxels of {spacing} mm", soft_wrap=True)
     console.print(
         f"written: {escape(options.out)}, {count(len(faces), 'triangle')}, {size} mm, in {unit}, "
-        + (told(grid.frame) if grid.frame else "left and right a guess"),
+        + (frame_description(grid.frame) if grid.frame else "left and right a guess"),
         soft_wrap=True,
     )
     return SOUND
 
 
 def _opened(name: str, unit: str | None, frame: str | None) -> tuple[Loaded, list[str]]:
-    """What is in the file, and what its loader has to say about it."""
+    """The mesh in a file, and the notes of its loader."""
     from meshes.load import read
 
     with warnings.catch_warnings(record=True) as caught:
@@ -346,7 +350,7 @@ def _opened(name: str, unit: str | None, frame: str | None) -> tuple[Loaded, lis
 
 @contextmanager
 def _notes() -> Iterator[None]:
-    """Tells warnings as notes on stderr."""
+    """Prints warnings as notes on stderr."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         yield
@@ -356,7 +360,7 @@ def _notes() -> Iterator[None]:
 
 @contextmanager
 def _stages() -> Iterator[Callable[[str], None]]:
-    """Shows the stage under way on stderr, if that is a terminal."""
+    """Shows the current stage on stderr, if that is a terminal."""
     bar = progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with bar:
         task = bar.add_task("starting", total=None)
@@ -364,7 +368,7 @@ def _stages() -> Iterator[Callable[[str], None]]:
 
 
 def _unless_interrupted(name: str, do: Callable[[Any], int], left: str) -> Callable[[Any], int]:
-    """The work of a kind; where it is interrupted what is left of it is said."""
+    """The work of a subcommand; if interrupted, `left` is printed."""
 
     def work(options: Any) -> int:
         try:

@@ -49,7 +49,7 @@ class Replay(Checked):
 
 
 def run(options: Replay) -> int:
-    """Do it and print what came of it; returns the exit code."""
+    """Repeat the recording and print the result; returns the exit code."""
     from app.recording import rerun
     from app.recording.read import read
 
@@ -95,7 +95,7 @@ def run(options: Replay) -> int:
 
 
 def summary(recording: Recording) -> list[str]:
-    """What is in it, a line each."""
+    """Description of a recording, in lines."""
     from app.recording.write import packages
 
     ticks = int(recording.rows["ticked"].sum())

@@ -37,7 +37,7 @@ MISSING = "pip install 'vf-sandbox[study]', or --workers 0"
 
 
 def _listed(name: str) -> Kind:
-    """Values of this of a trial, joined by commas."""
+    """The kind of a list of values of this option of a trial."""
     return Listed(declared(Trial)[name].kind)
 
 
@@ -83,13 +83,13 @@ class Study(Checked):
 
 @dataclass(frozen=True)
 class Collected:
-    """What came of a list of trials.
+    """The outcomes of a list of trials.
 
     Attributes:
-        outcomes: of those that were done, in the order of the trials.
-        wanted: how many trials there were.
+        outcomes: of the finished trials, in the order of the trials.
+        wanted: number of trials.
         elapsed: [s].
-        stopped: what ended it before all were done: an interrupt, or the loss of the cluster.
+        stopped: an interrupt, or the loss of the cluster; None: all trials are finished.
     """
 
     outcomes: list[Outcome]
@@ -98,7 +98,7 @@ class Collected:
     stopped: BaseException | None
 
     def end(self, program: str) -> int:
-        """Say that it is not all; the exit code, or what ended it."""
+        """Report an incomplete list: the exit code of an interrupt, or raise the error."""
         assert self.stopped is not None
         so_far = (
             f"{len(self.outcomes)} of {count(self.wanted, 'trial')} done and kept; the same "
@@ -124,16 +124,16 @@ def run(options: Study) -> int:
         rate=options.rate,
         length=options.length,
     )
-    options.out.mkdir(parents=True, exist_ok=True)  # rather now than after the work
+    options.out.mkdir(parents=True, exist_ok=True)  # before the work, to fail early
     found = collect(trials, options.out / "trials", options.workers, options.scheduler)
     if found.outcomes:
-        _tell(found, options, new_console())
+        _report(found, options, new_console())
     if found.stopped is not None:
         return found.end(PROGRAM)
     return BROKEN if any(o.crossings + o.outside for o in found.outcomes) else 0
 
 
-def _tell(found: Collected, options: Study, console: Console) -> None:
+def _report(found: Collected, options: Study, console: Console) -> None:
     """Print the summary, and write it as CSV."""
     rows = [(*cell, *_summary(some)) for cell, some in _cells(found.outcomes)]
     names = ("experiment", "skull", "noise [mm]", "rule", *COLUMNS)
@@ -153,10 +153,10 @@ def _tell(found: Collected, options: Study, console: Console) -> None:
 def collect(
     trials: Sequence[Trial], folder: pathlib.Path, workers: int, scheduler: str | None
 ) -> Collected:
-    """Do the trials under a progress bar, until all are done or something ends it.
+    """Run the trials with a progress bar, until all are finished or it is stopped.
 
     Raises:
-        ImportError, OSError: of `study.run_all`, but for the loss of the cluster.
+        ImportError, OSError: as `study.run_all`, except the loss of the cluster.
     """
     from app.studies import batch as study
 

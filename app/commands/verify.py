@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 PROGRAM = "vf-sandbox verify"
 PASSED, BROKEN = 0, 1
 DAMAGES = ("all", *choices.DAMAGES)
-PART = 10_000  # ticks or queries that are done in one piece
+PART = 10_000  # ticks or queries per call of the campaign
 LEAK_EDGES = (0.3, 1.0, 3.0)
 # Standoff and tip radius of the leak queries, in turn [m].
 LEAK_TOOLS = ((20e-6, 0.0), (0.0, 0.0), (1e-3, 0.0), (20e-6, 5e-4), (0.0, 1e-4))
@@ -59,7 +59,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Found:
-    """What came of one mesh with one kind of damage."""
+    """Results for one mesh with one kind of damage."""
 
     scenes: list[Scene]  # of the drives
     drives: list[Drive]
@@ -121,7 +121,6 @@ class Verify(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.steps == 0 and self.queries == 0:
-            # "Nothing got through" would be true, and worth nothing.
             raise OptionError("nothing to do: steps and queries are both 0")
         if self.mesh != "all":
             choices.check_mesh(self.mesh)
@@ -146,7 +145,7 @@ def run(options: Verify) -> int:
     damages = kinds() if options.damage == "all" else (options.damage,)
     radii: tuple[float | None, ...] = options.radius or (5e-4, 5e-3)
 
-    # Rules are compared on the mesh alone.
+    # Other rules than certified are tested with the mesh alone, so that they are comparable.
     varied = options.rule == "certified" and not options.outside
     kinds_of_scene = SCENES if varied else SCENES[:1]
     leak_tools = LEAK_TOOLS if varied else LEAK_TOOLS[:2]
@@ -240,14 +239,14 @@ def run(options: Verify) -> int:
 
 
 def _parts(kinds: Sequence[T], share: int) -> Iterator[tuple[int, T, int, int]]:
-    """Number of the kind, the kind, number of the part, and its length: an interrupt loses one."""
+    """(Index of the kind, the kind, index of the part, its length); an interrupt loses one part."""
     for k, kind in enumerate(kinds):
         for part, start in enumerate(range(0, share, PART)):
             yield k, kind, part, min(PART, share - start)
 
 
 def _cells(found: list[Found]) -> list[str]:
-    """One row of the table: sums and shares over some cases."""
+    """A row of the table: sums and shares over the cases."""
     import vf
 
     drives = [d for f in found for d in f.drives]
@@ -274,7 +273,7 @@ def _cells(found: list[Found]) -> list[str]:
 
 
 def _show_by_scene(found: list[Found], console: Console) -> None:
-    """The same drives by what stood around the tip."""
+    """Print the results of the drives by kind of scene."""
     import vf
     from app.studies.verification.scenes import SCENES
 

@@ -23,7 +23,7 @@ class PageMaster:
     clutch the two are the same. Only one thread at a time may call; any may read an attribute.
 
     Attributes:
-        handle: the handle's present pose: where the gizmo belongs when nobody drags it.
+        handle: the handle's present pose, at which the gizmo is drawn.
         clutched: whether the clutch is pressed: the handle moves alone, the tool holds.
         held: whether a drag is going on.
         target: the proxy; None holds the tool.

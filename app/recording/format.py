@@ -56,7 +56,7 @@ MAX_WAYPOINTS = 1000  # of a course
 MAX_HEADER = 64_000_000  # [byte]
 MAX_BLOCK = 16_000_000  # [byte], unpacked
 
-RECORDED = tuple(name for name, told in declared(Options).items() if told.recorded)
+RECORDED = tuple(name for name, entry in declared(Options).items() if entry.recorded)
 
 ORDERS = np.dtype(
     [

@@ -31,7 +31,7 @@ from app.settings import Options
 
 FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
-SETTINGS = {name: told.kind for name, told in declared(Options).items() if told.shared}
+SETTINGS = {name: entry.kind for name, entry in declared(Options).items() if entry.shared}
 """The options that belong to a scenario; its file has them at the same level as other keys."""
 
 
@@ -74,7 +74,7 @@ class Scenario(Checked):
         return replace(options, **{key: getattr(self.options, key) for key in SETTINGS})
 
 
-_OWN = {name: told.kind for name, told in declared(Scenario).items() if name != "options"}
+_OWN = {name: entry.kind for name, entry in declared(Scenario).items() if name != "options"}
 _KEYS = {"name": _OWN["name"], "about": _OWN["about"], **SETTINGS, **_OWN}
 """The keys of a file besides its format, in their order."""
 

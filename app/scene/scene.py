@@ -159,7 +159,7 @@ def anatomy(
     notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
     notes += found.notes
     if options.mesh not in meshes.catalogue():
-        notes.append(f"Patient frame: {meshes.told(found.frame)}.")
+        notes.append(f"Patient frame: {meshes.frame_description(found.frame)}.")
     if options.damage != "none":
         mesh = damage(options.damage, mesh, options.seed)
         notes.append(f"Damaged on purpose: {options.damage}, seed {options.seed}.")

@@ -15,11 +15,11 @@ import platformdirs
 from meshes.builtin.shapes import Arrays
 
 RECIPES = 1
-"""Counts changes of the recipes; part of every key, so that an old file is never taken for new."""
+"""Version of the recipes, part of every key; increased with each change."""
 
 
 def folder() -> Path:
-    """Where the files lie (not created yet on the first run)."""
+    """The folder of the files, which exists after the first write."""
     return Path(platformdirs.user_cache_dir("vf-sandbox", appauthor=False)) / "meshes"
 
 
@@ -28,10 +28,10 @@ def path(name: str) -> Path:
     return folder() / f"{name}-r{RECIPES}-manifold3d-{version('manifold3d')}.npz"
 
 
-def kept(name: str, make: Callable[[], Arrays]) -> Callable[[], Arrays]:
+def cached(name: str, make: Callable[[], Arrays]) -> Callable[[], Arrays]:
     """``make``, run once for each user and version, then read from the cache.
 
-    A damaged file is made anew; a folder that cannot be written costs time, never an error.
+    A damaged file is replaced; a folder that cannot be written is no error.
     """
 
     def read_or_make() -> Arrays:
@@ -47,12 +47,12 @@ def kept(name: str, make: Callable[[], Arrays]) -> Callable[[], Arrays]:
 
 
 def _read(file: Path) -> Arrays | None:
-    """The arrays in ``file``, or None if it is missing or anything about it is wrong."""
+    """The arrays in ``file``, or None if it is missing or damaged."""
     try:
         with np.load(file, allow_pickle=False) as stored:
             vertices = stored["vertices"]
             faces = stored["faces"].astype(np.int64)
-    # Whatever a damaged archive makes zipfile, zlib or numpy raise, the remedy is the same.
+    # A damaged archive raises exceptions of zipfile, zlib or numpy.
     except Exception:
         return None
     sound = (
@@ -68,7 +68,7 @@ def _read(file: Path) -> Arrays | None:
 
 
 def _write(file: Path, arrays: Arrays) -> None:
-    """Write beside and move into place: a reader or a second session never sees half a file."""
+    """Write a temporary file and move it into place, for concurrent readers."""
     file.parent.mkdir(parents=True, exist_ok=True)
     vertices, faces = arrays
     handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".npz")

@@ -1,7 +1,7 @@
-"""What goes wrong with real meshes, done on purpose: to test against and to show.
+"""Typical defects of real meshes, generated for tests and demonstrations.
 
-Every kind takes and returns vertices (n, 3) [m] and faces (m, 3), is a function of its seed, and
-leaves its input alone.
+Every kind takes and returns vertices (n, 3) [m] and faces (m, 3), is deterministic for a seed, and
+does not change its input.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from meshes.builtin.shapes import Arrays
 
-SHARE = 0.05  # of the faces, where a kind touches some of them
+SHARE = 0.05  # of the faces, for kinds that change some of them
 
 
 def kinds() -> tuple[str, ...]:
@@ -39,7 +39,7 @@ Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
-def _some(faces: Faces, rng: np.random.Generator) -> NDArray[np.int64]:
+def _sample(faces: Faces, rng: np.random.Generator) -> NDArray[np.int64]:
     count = max(1, round(SHARE * len(faces)))
     return rng.choice(len(faces), size=count, replace=False)
 
@@ -53,7 +53,7 @@ def _unwelded(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
 
 
 def _flipped(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
-    rows = _some(f, rng)
+    rows = _sample(f, rng)
     f[rows] = f[rows][:, ::-1]
     return v, f
 
@@ -63,11 +63,11 @@ def _inside_out(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
 
 
 def _holes(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
-    return v, np.delete(f, _some(f, rng), axis=0)
+    return v, np.delete(f, _sample(f, rng), axis=0)
 
 
 def _duplicated(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
-    extra = f[_some(f, rng)]
+    extra = f[_sample(f, rng)]
     turned = rng.random(len(extra)) < 0.5
     extra[turned] = extra[turned][:, ::-1]
     return v, np.concatenate([f, extra])
@@ -81,7 +81,7 @@ def _jittered(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
 
 def _slivers(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
     """Needles, caps and faces without area along the edges of some faces."""
-    rows = f[_some(f, rng)]
+    rows = f[_sample(f, rng)]
     a, b = v[rows[:, 0]], v[rows[:, 1]]
     share = rng.uniform(0.0, 1.0, (len(rows), 1))
     middle = a + share * (b - a)
@@ -117,7 +117,7 @@ def _interpenetrating(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays
 
 
 def _sheet(v: Vertices, f: Faces, rng: np.random.Generator) -> Arrays:
-    """Only the upper part: an open sheet, met from both sides."""
+    """Only the upper part: an open sheet."""
     height = v[f].mean(axis=1)[:, 2]
     return v, f[height >= np.median(height)]
 

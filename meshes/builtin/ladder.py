@@ -1,9 +1,9 @@
-"""The run-time ladder: one shape at the triangle counts of the paper's section IV-B.
+"""One shape at the triangle counts of the paper's section IV-B, for run-time measurements.
 
-A closed shape of genus 0 is decimated to 61,836 triangles, and two Loop subdivisions make the
-master of 989,376. (Midpoint subdivision would leave sixteen coplanar facets a parent and distort
-the statistics of edges.) The smaller rungs are decimated from that one master, so that all have the
-same shape; 51,978 triangles of a closed genus-0 mesh have the paper's 25,991 vertices.
+A closed shape of genus 0 is decimated to 61,836 triangles; two Loop subdivisions make the master of
+989,376 (midpoint subdivision would leave sixteen coplanar facets per parent and distort the
+statistics of edges). The smaller meshes are decimated from the master; 51,978 triangles of a closed
+genus-0 mesh have the paper's 25,991 vertices.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from meshes.builtin import cache
+from meshes.builtin import cache, packaged
 from meshes.builtin.shapes import Arrays
 from meshes.errors import MeshError
 from meshes.load import arrays
@@ -34,7 +34,7 @@ SIZES = (51_978, 103_956, 207_912, 415_824, 989_376)
 """Triangles of the paper's meshes, smallest first."""
 
 BUNNY = 0.1557
-"""Longest side of the Stanford bunny's bounding box [m]: the paper's radii belong to this size."""
+"""Longest side [m] of the Stanford bunny's bounding box, for which the paper's radii are given."""
 
 _SUBDIVISIONS = 2  # each makes four triangles of one
 
@@ -45,8 +45,8 @@ class Source:
 
     Attributes:
         name: for the reader of a result.
-        make: vertices (n, 3) in any unit and faces (m, 3), the same every time.
-        key: tells cached ladders apart.
+        make: vertices (n, 3) in any unit and faces (m, 3), deterministic.
+        key: of the cached meshes.
     """
 
     name: str
@@ -81,11 +81,11 @@ def rungs(
 ) -> dict[int, Arrays]:
     """Meshes of the given triangle counts, `BUNNY` long, kept in the user's cache folder.
 
-    The largest of `sizes` is the master: it is rounded down to a multiple of what the subdivisions
-    multiply by. Counts are exact for closed shapes; the keys are the counts really reached.
+    The largest of `sizes` is the master, rounded down to a multiple of the subdivisions' factor.
+    Keys are the counts reached, exact for closed shapes.
 
     Args:
-        progress: called with a few words before each rung.
+        progress: called with a description of each mesh.
 
     Raises:
         MeshError: the decimation cannot reach a count (an open or very dirty shape).
@@ -98,11 +98,11 @@ def rungs(
     tools = f"fs{version('fast-simplification')}-trimesh{version('trimesh')}"
     name = f"ladder-{shape.key}-{top}-{tools}"
     say(f"{top:,} triangles")
-    master = cache.kept(name, lambda: _master(shape.make(), top // factor))()
+    master = cache.cached(name, lambda: _master(shape.make(), top // factor))()
     result = {len(master[1]): master}
     for size in sorted(set(sizes) - {max(sizes)}, reverse=True):
         say(f"{size:,} triangles")
-        rung = cache.kept(f"{name}-{size}", partial(_decimated, master, size))()
+        rung = cache.cached(f"{name}-{size}", partial(_decimated, master, size))()
         result[len(rung[1])] = rung
     return dict(sorted(result.items()))
 
@@ -111,12 +111,12 @@ def organic() -> Arrays:
     """A closed bumpy body with folds and pits, some 150 mm long: 81,920 triangles [m].
 
     The distance along a unit direction d is 50 mm · (1 + Σ A exp(κ (d·c − 1))) over 28 directions
-    spread evenly: bumps and pits of two widths, as anatomy has them, and nothing symmetric.
+    distributed evenly: bumps and pits of two widths, without symmetry.
     """
     ball = trimesh.creation.icosphere(6)
     d = np.asarray(ball.vertices)
     k = np.arange(28)
-    # A sunflower spiral over the sphere.
+    # A Fibonacci lattice on the sphere.
     height, turn = 1.0 - (2.0 * k + 1.0) / 28, k * np.pi * (3.0 - np.sqrt(5.0))
     ring = np.sqrt(1.0 - height**2)
     centres = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
@@ -128,12 +128,9 @@ def organic() -> Arrays:
 
 def _packaged_bunny() -> Arrays:
     """pymeshfix's example: 99,785 triangles with holes and non-manifold edges, closed by it."""
-    # Never a dependency (its licence is the AGPL): an installed one may be used.
+    # Not a dependency, because of its licence (AGPL); an installed one is used.
     pymeshfix = importlib.import_module("pymeshfix")
-    file = Path(str(pymeshfix.__file__)).parent / "examples" / "StanfordBunny.ply"
-    if not file.is_file():
-        raise MeshError(f"pymeshfix {version('pymeshfix')} carries no bunny; give a file instead")
-    dirty = trimesh.load(file, process=False)
+    dirty = trimesh.load(packaged.file("pymeshfix", packaged.BUNNY), process=False)
     with contextlib.redirect_stdout(io.StringIO()):
         vertices, faces = pymeshfix.clean_from_arrays(
             np.asarray(dirty.vertices, dtype=np.float64), np.asarray(dirty.faces, dtype=np.int32)

@@ -1,7 +1,7 @@
-"""Real anatomy that other packages carry: read as data where they are installed, never fetched.
+"""Meshes from the data files of other installed packages; nothing is downloaded.
 
-The packages themselves are not imported: nilearn's start takes seconds, and pymeshfix, whose
-licence is the AGPL, must stay a thing of the user's.
+The packages themselves are not imported: nilearn takes seconds to import, and pymeshfix is under
+the AGPL.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from meshes.errors import MeshError
 
 _MNI = "datasets/data/mni_icbm152_{}_tal_nlin_sym_09a_converted.nii.gz"
 _PIAL = "datasets/data/fsaverage5/pial_{}.gii.gz"
-_BUNNY = "examples/StanfordBunny.ply"
+BUNNY = "examples/StanfordBunny.ply"
 _FINER = 1.75
 """Samples per voxel of the fine brain: a million triangles."""
 
 
 def folder(package: str) -> Path | None:
-    """Where a package is installed; None if it is not. Runs none of its code."""
+    """The folder of an installed package, else None; runs none of its code."""
     spec = importlib.util.find_spec(package)
     return Path(spec.origin).parent if spec is not None and spec.origin else None
 
@@ -41,17 +41,16 @@ def release(package: str) -> str:
 
 
 def has_nilearn() -> bool:
-    """Whether nilearn's surfaces and templates are here, and what reads them."""
+    """Whether nilearn's surfaces and nibabel, which reads them, are installed."""
     readers = importlib.util.find_spec("nibabel") is not None
     place = folder("nilearn")
-    # A release that moved its data has none for us.
     return readers and place is not None and (place / _PIAL.format("left")).is_file()
 
 
 def has_bunny() -> bool:
     """Whether an installed package carries the Stanford bunny."""
     place = folder("pymeshfix")
-    return place is not None and (place / _BUNNY).is_file()
+    return place is not None and (place / BUNNY).is_file()
 
 
 def cortex() -> Arrays:
@@ -63,7 +62,7 @@ def cortex() -> Arrays:
 
     sides = []
     for side in ("left", "right"):
-        points, triangles = nibabel.load(_file("nilearn", _PIAL.format(side))).agg_data()
+        points, triangles = nibabel.load(file("nilearn", _PIAL.format(side))).agg_data()
         sides.append((np.asarray(points, np.float64) * 1e-3, np.asarray(triangles, np.int64)))
     (left, faces), (right, more) = sides
     return np.vstack([left, right]), np.vstack([faces, more + len(left)])
@@ -75,32 +74,31 @@ def brain() -> Arrays:
 
 
 def brain_fine() -> Arrays:
-    """The same, sampled more finely before it is smoothed: the probabilities run straight between
-    voxels, and the smoothing that follows takes the kinks out."""
+    """The same, interpolated linearly to `_FINER` samples per voxel before it is smoothed."""
     coarse = _tissue()
     finer = zoom(coarse.values, _FINER, order=1, grid_mode=True, mode="nearest")
     step = np.array(coarse.values.shape) / np.array(finer.shape)  # [voxel/sample]
     T_voxel_sample = np.diag([*step, 1.0])
-    T_voxel_sample[:3, 3] = 0.5 * (step - 1.0)  # a voxel's outer wall stays where it was
+    T_voxel_sample[:3, 3] = 0.5 * (step - 1.0)  # the outer faces of the grid coincide
     return _outside(volume.Volume(finer, coarse.T_world_voxel @ T_voxel_sample, coarse.name))
 
 
 def bunny() -> Arrays:
-    """The Stanford bunny as scanned: holes, non-manifold edges. Its y axis is up; here it is z."""
-    read = trimesh.load(_file("pymeshfix", _BUNNY), process=False)
+    """The Stanford bunny as scanned: holes, non-manifold edges. Its y axis becomes z."""
+    read = trimesh.load(file("pymeshfix", BUNNY), process=False)
     points = np.asarray(read.vertices, dtype=np.float64)
     standing = np.column_stack([points[:, 0], -points[:, 2], points[:, 1]])
-    return standing * _metres(standing), np.asarray(read.faces, dtype=np.int64)
+    return standing * _scale(standing), np.asarray(read.faces, dtype=np.int64)
 
 
-def _metres(points: NDArray[np.float64]) -> float:
-    """The scale to the scanned size; copies of the bunny come in every unit."""
+def _scale(points: NDArray[np.float64]) -> float:
+    """The scale to the scanned size; copies of the bunny differ in unit."""
     return 0.1557 / float(np.ptp(points, axis=0).max())
 
 
 def _tissue() -> volume.Volume:
     """Probability of grey or white matter in the MNI152 template."""
-    grey, white = (volume.read(_file("nilearn", _MNI.format(kind))) for kind in ("gm", "wm"))
+    grey, white = (volume.read(file("nilearn", _MNI.format(kind))) for kind in ("gm", "wm"))
     share = (grey.values.astype(np.float32) + white.values.astype(np.float32)) / np.float32(255.0)
     return volume.Volume(share, grey.T_world_voxel, "MNI152")
 
@@ -110,7 +108,7 @@ def _outside(tissue: volume.Volume) -> Arrays:
     return volume.surface(tissue, 0.5, smooth=1e-3, largest=True)
 
 
-def _file(package: str, name: str) -> Path:
+def file(package: str, name: str) -> Path:
     place = folder(package)
     if place is None or not (place / name).is_file():
         raise MeshError(f"{package} {release(package)} carries no {name}")

@@ -1,10 +1,9 @@
-"""Procedural solids: the simple shapes of the catalogue.
+"""Generated solids: the simple shapes of the catalogue.
 
-Every generator takes nothing and returns ``(vertices, faces)``: ``(n, 3)`` float64 in metres and
-``(m, 3)`` int64, a closed, consistently outward-wound mesh about the origin with its top towards
-+z. Recipes are written in millimetres, as the parts would be drawn; :func:`to_metres` is the only
-place where the unit changes. Flat faces are divided into triangles of one to three millimetres,
-so that a motion sphere of a millimetre meets edges inside a face and not only at its rim.
+Every generator returns ``(vertices, faces)``: ``(n, 3)`` float64 in metres and ``(m, 3)`` int64, a
+closed, consistently outward-wound mesh about the origin with its top towards +z. Dimensions are in
+millimetres up to :func:`to_metres`. Flat faces are divided into triangles of one to three
+millimetres, so that a motion sphere of a millimetre meets edges inside a face too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A paediatric skull cap, made from formulas: the anatomy of the paper's experiment.
+"""A synthetic paediatric skull cap, as in the paper's experiment.
 
 Head axes: x to the right, y to the front, z up, origin in the middle of the head; recipes in
 millimetres, results in metres. The outer surface is a super-ellipsoid along unit directions with
@@ -67,7 +67,7 @@ def outer_points(directions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def endocranium(segments: int = STANDARD) -> Arrays:
-    """What the bone protects: the solid within the inner surface, openings closed, watertight.
+    """The solid within the inner surface, openings closed, watertight.
 
     Vertices ``(n, 3)`` [m] in the skull's axes and outward-wound faces ``(m, 3)``. A tool may cut
     through the bone to this surface, and no farther.

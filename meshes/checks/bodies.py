@@ -1,4 +1,4 @@
-"""Closed bodies of a mesh: their volumes, what lies inside what, which are inside out."""
+"""Closed bodies of a mesh: volumes, nesting, and which are inside out."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-# What most rays from a body cross an odd number of times is around it, whether it is closed or has
-# holes and fins. Where the first few rays agree about everything, more would not say anything else.
+# A shell that most rays from a body cross an odd number of times encloses it, also where the shell
+# has holes or fins. The larger number is used where the first rays do not all agree.
 _FEW, _RAYS = 8, 64
 
 
@@ -28,19 +28,17 @@ class Bodies:
     Attributes:
         patches: ``(k,)`` their numbers in the `Topology`.
         volumes: ``(k,)`` [m³], negative where the faces look inwards.
-        outermost: ``(k,)`` row of the outermost body around each one; its own row if none is.
-        in_open: ``(k,)`` whether that outermost one lies inside a wall that is not closed. Such a
-            wall has a hole, or an edge of more than two faces; what is in it is a cavity or a body
-            of its own, as in a closed one.
-        inside_out: ``(k,)`` bodies to be turned: outermost ones with negative volume that no open
-            wall is around, and what lies in them. An inner body keeps its winding relative to what
-            is around it: whether it is a cavity or a body of its own is for the file to say.
-        along: ``(patches,)`` open patches of the `Topology` that lie in a body to be turned, and
-            turn with it.
-        enclosed: [m³] of all places where the closed bodies' winding numbers do not cancel: their
-            volumes, cavities taken off, and what lies inside twice counted once. Never negative.
-        known: what lies inside what. Where so much overlaps that it would take too long, no body
-            counts as in another one or as inside out, and ``enclosed`` is nan.
+        outermost: ``(k,)`` row of the outermost body that encloses each one; its own row if none.
+        in_open: ``(k,)`` whether that outermost body lies inside a shell with boundary or
+            non-manifold edges.
+        inside_out: ``(k,)`` bodies to be turned: outermost ones of negative volume that no open
+            shell encloses, and all bodies in them. An inner body keeps its winding relative to the
+            outer one, which tells a cavity from a separate body.
+        along: ``(patches,)`` open patches of the `Topology` in a body to be turned, turned with it.
+        enclosed: volume [m³] where the winding numbers of the closed bodies do not sum to zero:
+            cavities are subtracted, overlaps counted once. Never negative.
+        known: whether the nesting was determined. If that exceeds the work limit, no body counts as
+            enclosed or inside out, and ``enclosed`` is nan.
     """
 
     patches: IntArray
@@ -54,7 +52,7 @@ class Bodies:
 
     @property
     def turned(self) -> Flags:
-        """``(patches,)`` of the `Topology`: all that is to be turned."""
+        """``(patches,)`` of the `Topology` to be turned."""
         turned = self.along.copy()
         turned[self.patches] = self.inside_out
         return turned
@@ -84,7 +82,7 @@ def bodies(vertices: FloatArray, faces: IntArray, topology: Topology) -> Bodies:
     rays = _Rays(vertices, faces, shells)
     try:
         return _nested(rays, topology, patches, volumes, along, bool(open_.any()))
-    except probe.TooMuch:
+    except probe.WorkLimit:
         no = np.zeros(count, dtype=bool)
         return Bodies(patches, volumes, np.arange(count), no, no, along, float("nan"), known=False)
 
@@ -97,7 +95,7 @@ def _nested(
     along: Flags,
     any_open: bool,
 ) -> Bodies:
-    """The bodies where there may be some in others. Raises `probe.TooMuch`."""
+    """The bodies where some may enclose others. Raises `probe.WorkLimit`."""
     count = len(patches)
     inner, outer, in_open = rays.around_bodies(count)
     depth = np.bincount(inner, minlength=count)
@@ -120,37 +118,39 @@ def _nested(
 
 
 class _Rays:
-    """Rays from faces of a mesh, and which shells they cross."""
+    """Rays from faces of a mesh, and the shells that they cross."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, shells: IntArray) -> None:
         self._vertices, self._faces = vertices, faces
         self._shells = shells
-        self._left = 4 * probe.effort(len(faces))  # rays are quick, and the answer is needed whole
+        self._left = 4 * probe.effort(
+            len(faces)
+        )  # rays are quick, and a part of the answer is no use
         self._tree = pdtree.build(vertices, faces)
         turn = np.pi * (1.0 + 5.0**0.5) * np.arange(_RAYS)
         height = 1.0 - (2.0 * np.arange(_RAYS) + 1.0) / _RAYS
-        # Any run of them is spread over the sphere.
+        # Consecutive ones are distributed over the sphere.
         order = 29 * np.arange(_RAYS) % _RAYS
         across = np.sqrt(1.0 - height**2)
         self._directions = np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
         self._directions = np.ascontiguousarray(self._directions[order])
 
     def around_bodies(self, count: int) -> tuple[IntArray, IntArray, Flags]:
-        """Pairs of an inner and an outer body, and the bodies ``(count,)`` in an open wall.
+        """Pairs of an inner and an outer body, and the bodies ``(count,)`` in an open shell.
 
-        Those of the shells from ``count`` on are open. One of them may be around a body, or all of
-        them together, as the triangles of an unwelded wall are.
+        Shells from ``count`` on are open. One of them may enclose a body, or all of them together,
+        such as the triangles of an unwelded wall.
         """
         members = np.argsort(self._shells, kind="stable")
         starts = np.searchsorted(self._shells[members], np.arange(count + 1))
         inner, outer = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
         in_open = np.zeros(count, dtype=bool)
         asked = np.arange(count)
-        width = int(self._shells.max()) + 2  # the last: all open ones together
+        width = int(self._shells.max()) + 2  # the last: all open shells together
         for rays in (_FEW, _RAYS):
             votes = np.empty(0, dtype=np.int64)
             for ray in range(rays):
-                # Other faces each time, evenly over the body.
+                # Each ray starts at another face of the body.
                 first, size = starts[asked], starts[asked + 1] - starts[asked]
                 chosen = members[first + (size * (ray % _FEW)) // _FEW]
                 pairs = self._crossed(chosen, asked, ray)
@@ -173,7 +173,7 @@ class _Rays:
         return inner, outer, in_open
 
     def inside(self, patches: IntArray, of_face: IntArray, bodies: IntArray) -> Flags:
-        """Which of these patches start inside one of these bodies, none of which is in another."""
+        """Which patches have their first face inside one of these bodies, none of them nested."""
         first = np.full(int(of_face.max()) + 1, -1, dtype=np.int64)
         first[of_face[::-1]] = np.arange(len(of_face))[::-1]
         votes = np.zeros(len(patches), dtype=np.int64)
@@ -184,7 +184,7 @@ class _Rays:
         return np.asarray(2 * votes > _FEW + 1)
 
     def _crossed(self, faces: IntArray, own: IntArray, ray: int) -> IntArray:
-        # From an odd point of the face, so that drawn parts' straight edges are missed.
+        # An irrational point of the face: rays then miss the edges of regular meshes.
         corners = self._vertices[self._faces[faces]]
         starts = np.einsum("k,nkd->nd", np.array([0.4142, 0.2679, 0.3179]), corners)
         pairs, self._left = probe.crossings(

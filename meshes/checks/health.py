@@ -1,4 +1,4 @@
-"""What is wrong with a mesh, where, and which of the fixtures' rules cares."""
+"""The health report: defects of a mesh, where they are, and their effect on the fixtures."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from meshes.checks import probe
 from meshes.checks.bodies import Bodies, bodies
 from meshes.checks.topology import Topology, topology
-from meshes.checks.weld import first_of_kind, weld
+from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
+from meshes.content import checked
 from meshes.errors import MeshError
-from meshes.formats.text import worded
+from meshes.formats.text import pluralized
 from meshes.meaning import MEANING
 from vf import Surface, pdtree
 from vf.closest import SLIVER
@@ -24,24 +25,24 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NEAR = 1e-6
-"""Share of the diagonal within which vertices are likely one: single precision, twice rounded."""
+"""Weld tolerance as a share of the diagonal: single precision, rounded twice."""
 SLIM = 0.01
 """A sliver's height is less than this share of its longest edge."""
 PERCENTILES = (0, 5, 50, 95, 100)
-THIN = 1e-4  # [m] a wall that a hand's tremor, or one bad tick of a weak rule, is through
+THIN = 1e-4  # [m] thickness below which a wall is reported: the size of a hand's tremor
 EXAMINED = 50_000
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One kind of trouble, how often, where, and what it means for the fixtures.
+    """One kind of defect or remark: its number, its places, its meaning for the fixtures.
 
     Attributes:
         kind: a key of `MEANING`.
         count: number of faces, edges, vertices, loops, bodies or pairs, as ``kind`` says.
-        defect: worth mending before use; otherwise good to know.
+        defect: to be repaired before use; otherwise a remark.
         text: one line with the numbers.
-        of: what ``ids`` are: "vertices", "faces", or "edges".
+        of: the kind of ``ids``: "vertices", "faces", or "edges".
         ids: ``(k,)`` rows of vertices or faces, or ``(k, 2)`` ends of edges, in the caller's order.
     """
 
@@ -66,14 +67,14 @@ class Health:
         watertight: every edge joins exactly two faces, and no face is degenerate by its corners.
         consistent: no face is wound against its patch, and no patch is one-sided.
         components: pieces connected across edges.
-        genus: handles of all pieces together; None where non-manifold or one-sided.
-        volume: enclosed, cavities taken off, whichever way a body is wound (the finding
-            "inside-out bodies" tells); None unless watertight and consistent.
+        genus: handles of all components together; None where non-manifold or one-sided.
+        volume: enclosed, cavities subtracted, positive also for a body that is inside out; None
+            unless watertight and consistent.
         edge_percentiles: length at each of `PERCENTILES`.
         boundary_lengths: of every boundary loop, longest first.
         wall, wall_face: thinnest wall found and a face on it, or None.
-        examined: faces looked at for self-intersections and walls: all of them, or evenly sampled.
-        findings: what is wrong or worth knowing, defects first; empty for a clean mesh.
+        examined: faces examined for self-intersections and walls: all, or evenly sampled.
+        findings: defects first, then remarks; empty for a clean mesh.
     """
 
     vertices: int
@@ -94,7 +95,7 @@ class Health:
 
     @property
     def exact(self) -> bool:
-        """Whether self-intersections and walls were looked for at every face."""
+        """Whether every face was examined for self-intersections and walls."""
         return self.examined == self.triangles
 
     @property
@@ -103,7 +104,7 @@ class Health:
         return not any(finding.defect for finding in self.findings)
 
     def count(self, kind: str) -> int:
-        """How often something was found.
+        """The number in the finding of a kind, 0 if there is none.
 
         Raises:
             ValueError: unknown kind; lists the valid ones.
@@ -157,12 +158,12 @@ def health(
 ) -> Health:
     """Report on a `vf.Surface`, or on vertices ``(n, 3)`` [m] and ``faces`` ``(m, 3)``.
 
-    Degenerate faces with a repeated corner and repetitions of a face are counted and then left
-    out, so that they do not also appear as non-manifold edges, components and so on.
+    Faces with a repeated corner and duplicate faces are counted and then excluded, so that they do
+    not also appear as non-manifold edges or components.
 
     Args:
-        examine: so many faces are looked at for self-intersections and thin walls; all of them
-            where the mesh has no more. 0 leaves both out.
+        examine: at most so many faces, evenly sampled, are examined for self-intersections and thin
+            walls. 0: none.
         progress: called with the name of each stage.
 
     Raises:
@@ -182,7 +183,7 @@ def health(
     ) -> None:
         count = len(ids) if n < 0 else n
         if count:
-            found.append(Finding(kind, count, defect, worded(text, count), of, ids))
+            found.append(Finding(kind, count, defect, pluralized(text, count), of, ids))
 
     say("vertices")
     used = np.zeros(len(v), dtype=bool)
@@ -209,14 +210,14 @@ def health(
     )  # fmt: skip
     welded = np.arange(len(v))
     welded[rows] = rows[stands_for]
-    # By place: what is exactly at one place is one corner.
+    # Vertices at exactly the same place are one corner.
     place = np.arange(len(v))
     place[rows[repeated]] = rows[stands_for[repeated]]
 
     say("faces")
     lengths, normals, slimness, areas = _measured(v, f)
     corners = place[f]
-    collapsed = _repeats_a_corner(corners)
+    collapsed = repeats_a_corner(corners)
     degenerate = collapsed | (slimness <= SLIVER)
     note(
         "degenerate faces",
@@ -239,7 +240,7 @@ def health(
     )
 
     say("edges")
-    proper = np.flatnonzero(~_repeats_a_corner(f) & ~copies)
+    proper = np.flatnonzero(~repeats_a_corner(f) & ~copies)
     t = topology(f[proper], len(v))
     solid = bodies(v, f[proper], t)
     loop_lengths = _loop_lengths(v, f, proper, t)
@@ -250,10 +251,12 @@ def health(
         say("self-intersections and walls")
         tree = mesh.tree if isinstance(mesh, Surface) else pdtree.build(v, f)
         wanted = min(examine, len(f))
-        sample = probe.spread(np.unique(np.linspace(0, len(f) - 1, wanted).astype(np.int64)))
+        sample = probe.well_distributed(
+            np.unique(np.linspace(0, len(f) - 1, wanted).astype(np.int64))
+        )
         pairs, examined = probe.intersections(v, corners, tree, sample)
         sample = sample[:examined]
-        # A face that stands for its copies; from either side a pair is one.
+        # Duplicates are represented by their first face; (f, g) and (g, f) are one pair.
         pairs = np.sort(pairs[~copies[pairs].any(axis=1)], axis=1)
         pairs = np.unique(pairs, axis=0)
         outward = normals.copy()
@@ -279,7 +282,7 @@ def health(
                 "[was|were] looked at for self-intersections and walls", n=examined,
             )  # fmt: skip
 
-    watertight = not (t.rim_edges or t.crowded_edges or len(proper) < len(f))
+    watertight = not (t.boundary_edges or t.non_manifold_edges or len(proper) < len(f))
     consistent = not (t.minority.any() or t.one_sided.any())
     extents = np.ptp(v[rows], axis=0)
     return Health(
@@ -308,17 +311,11 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike | None) -> tuple[FloatArr
         MeshError: as `health` says.
     """
     v, f = np.asarray(vertices, dtype=np.float64, order="C"), np.asarray(faces)
-    if v.ndim != 2 or v.shape[1] != 3:
-        raise MeshError(f"vertices must have shape (n, 3), not {v.shape}")
-    if f.ndim != 2 or f.shape[1] != 3 or not np.issubdtype(f.dtype, np.integer):
+    if not np.issubdtype(f.dtype, np.integer):
         raise MeshError(f"faces must be integers of shape (m, 3), not {f.dtype} of {f.shape}")
     if len(f) == 0:
         raise MeshError("a mesh without faces")
-    if f.min() < 0 or f.max() >= len(v):
-        raise MeshError(f"faces refer to vertices {f.min()} … {f.max()}, of {len(v)}")
-    if not np.isfinite(v).all():
-        raise MeshError(f"vertex {int(np.argmin(np.isfinite(v).all(axis=1)))} is not finite")
-    return v, np.ascontiguousarray(f, dtype=np.int64)
+    return checked(v, np.ascontiguousarray(f, dtype=np.int64))
 
 
 def _note_edges(
@@ -336,15 +333,15 @@ def _note_edges(
         text = f"{{n}} boundary [loop|loops], {loop_lengths.sum() * 1e3:.4g} mm in all"
         if welded is not None:
             joined = welded[f[proper]]
-            joined = joined[~_repeats_a_corner(joined)]
-            after = len(topology(joined, len(v)).rim_starts) - 1 if len(joined) else 0
+            joined = joined[~repeats_a_corner(joined)]
+            after = len(topology(joined, len(v)).boundary_starts) - 1 if len(joined) else 0
             text += (
                 f"; {after:,} {'is' if after == 1 else 'are'} left once near vertices are welded"
             )
-        rim = t.rim[t.mates[t.rim] == -1]
-        note("boundary loops", _ends(f, proper, rim), text, "edges", True, len(loop_lengths))
+        boundary = t.boundary[t.opposite[t.boundary] == -1]
+        note("boundary loops", _ends(f, proper, boundary), text, "edges", True, len(loop_lengths))
     note(
-        "non-manifold edges", _ends(f, proper, t.crowded),
+        "non-manifold edges", _ends(f, proper, t.non_manifold),
         "{n} [edge has|edges have] more than two faces", "edges", True,
     )  # fmt: skip
     note(
@@ -363,7 +360,7 @@ def _note_edges(
             "{n} closed bodies overlap so much that it was not worked out which lie inside others",
             defect=True, n=len(solid.patches),
         )  # fmt: skip
-    # Only outermost ones count: what lies in them, or in a wall with a hole, follows.
+    # Inner bodies, also those in an open shell, turn with the outermost one.
     own = (solid.outermost == np.arange(len(solid.patches))) & ~solid.in_open
     for kind, which, text, defect in (
         ("inside-out bodies", solid.patches[solid.inside_out & own],
@@ -378,25 +375,19 @@ def _note_edges(
             note(kind, ids, text, defect=defect, n=len(which))
 
 
-def _repeats_a_corner(corners: IntArray) -> NDArray[np.bool_]:
-    a, b, c = corners.T
-    repeats: NDArray[np.bool_] = (a == b) | (b == c) | (c == a)
-    return repeats
-
-
 def _ends(f: IntArray, proper: IntArray, half: IntArray) -> IntArray:
-    """Vertices ``(k, 2)`` at the ends of half-edges of the proper faces."""
+    """Vertices ``(k, 2)`` of half-edges of the proper faces."""
     face, k = proper[half // 3], half % 3
     return np.column_stack([f[face, k], f[face, (k + 1) % 3]])
 
 
 def _loop_lengths(v: FloatArray, f: IntArray, proper: IntArray, t: Topology) -> FloatArray:
-    """Length [m] of each boundary loop, crowded edges on its way not counted."""
-    if len(t.rim) == 0:
+    """Length [m] of each boundary loop, non-manifold edges on its way not counted."""
+    if len(t.boundary) == 0:
         return np.empty(0)
-    ends = _ends(f, proper, t.rim)
-    lengths = np.linalg.norm(v[ends[:, 0]] - v[ends[:, 1]], axis=1) * (t.mates[t.rim] == -1)
-    sums: FloatArray = np.add.reduceat(lengths, t.rim_starts[:-1])
+    ends = _ends(f, proper, t.boundary)
+    lengths = np.linalg.norm(v[ends[:, 0]] - v[ends[:, 1]], axis=1) * (t.opposite[t.boundary] == -1)
+    sums: FloatArray = np.add.reduceat(lengths, t.boundary_starts[:-1])
     return sums
 
 

@@ -1,4 +1,4 @@
-"""Measuring into a mesh through its PD-tree: cuts, thickness of walls, what lies inside what."""
+"""Queries through a PD-tree: self-intersections, wall thickness, ray crossings."""
 
 from __future__ import annotations
 
@@ -11,29 +11,39 @@ from vf.pdtree import STACK, Tree, box_distances2, children_of, triangles_of
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# A wall's far side faces the other way within 30°: the flanks of a wedge are no wall.
+# Cosine: the two sides of a wall are opposite within 30°, the flanks of a wedge are not.
 _OPPOSITE = -0.866
-# Solid kernels place cut points to about a 1e-12th of the size: what is shallower only touches.
+# Share of the size below which a cut is rounding: solid kernels place points to about 1e-12.
 _TOUCH = 1e-11
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-_PAIR = 20  # of `effort`: what is found takes longer than what is ruled out
+_PAIR = 20  # of `effort`, the cost of a pair that is found
 
 
 def effort(faces: int) -> int:
-    """How much may be looked at in a mesh: many times what takes a whole surface of that size.
+    """Limit of a query's work, in boxes and triangles of the tree that are tested.
 
-    In boxes and triangles of the tree. Triangles that all overlap would take the square of their
-    number, which in a file of less than a megabyte is minutes.
+    Many times what a surface of so many faces needs. Triangles that all overlap would need the
+    square of their number: minutes for a file of less than 1 MB.
     """
     return 50_000_000 + 300 * faces
 
 
-class TooMuch(Exception):
-    """More would have to be looked at than `effort` allows."""
+class WorkLimit(Exception):
+    """The query needs more work than `effort` allows."""
 
 
-def spread(rows: IntArray) -> IntArray:
-    """The rows in such an order that its beginning, however short, is evenly spread over them."""
+@njit(cache=True, nogil=True, inline="always")
+def _push_children(stack, depth, link):  # type: ignore[no-untyped-def]
+    """Put a node's children on the stack of a tree traversal; its new depth."""
+    first, last = children_of(link)
+    for child in range(first, last):
+        stack[depth] = child
+        depth += 1
+    return depth
+
+
+def well_distributed(rows: IntArray) -> IntArray:
+    """The rows in a low-discrepancy order: any first part is evenly distributed over them."""
     return rows[np.argsort(np.arange(len(rows)) * _GOLDEN % 1.0, kind="stable")]
 
 
@@ -47,11 +57,11 @@ def intersections(
     or edge they share.
 
     Args:
-        corners: ``(m, 3)`` vertices by place: what is at one place has one number.
+        corners: ``(m, 3)`` vertices; those at the same place have one number.
         tree: over the same faces, in the same order.
 
     Returns:
-        The pairs, and the number of rows, from the first one, that were looked at with `effort`.
+        The pairs, and how many rows were examined, from the first on, within `effort`.
     """
     touch = _TOUCH * float(np.abs(vertices).max())
     pairs = np.empty((1024, 2), dtype=np.int64)
@@ -69,10 +79,9 @@ def intersections(
 
 @njit(cache=True, nogil=True)
 def _intersections(vertices, corners, tree, rows, touch, row, left, pairs, found):  # type: ignore[no-untyped-def]
-    """Go on from a row; the next row, pairs found and effort left.
+    """Continue at a row; return the next row, the pairs found and the effort left.
 
-    Ends where there may be no room for the next row's pairs. Whole rows only: one is begun if any
-    effort is left.
+    Stops before a row whose pairs do not fit into ``pairs``.
     """
     stack = np.empty(STACK, dtype=np.int32)
     while row < rows.shape[0] and left > 0:
@@ -95,10 +104,7 @@ def _intersections(vertices, corners, tree, rows, touch, row, left, pairs, found
                 continue
             link = tree.nodes[node, 15]
             if link > 0.0:
-                first, last = children_of(link)
-                for child in range(first, last):
-                    stack[depth] = child
-                    depth += 1
+                depth = _push_children(stack, depth, link)
                 continue
             first, last = triangles_of(link)
             left -= last - first
@@ -131,20 +137,20 @@ def _pierces(vertices, corners, f, g, touch):  # type: ignore[no-untyped-def]
         if shared:
             continue
         p, q = vertices[i], vertices[j]
-        # Volumes of tetrahedra: a point off by `touch` changes them by that times an area.
-        span = max(_apart2(p, q), max(_apart2(a, b), max(_apart2(b, c), _apart2(c, a))))
-        hair = touch * span
+        # A point off by `touch` [m] changes a tetrahedron's volume by that times an area.
+        span = max(_distance2(p, q), max(_distance2(a, b), max(_distance2(b, c), _distance2(c, a))))
+        slack = touch * span
         above, below = _side(a, b, c, p), _side(a, b, c, q)
-        if not ((above > hair and below < -hair) or (above < -hair and below > hair)):
+        if not ((above > slack and below < -slack) or (above < -slack and below > slack)):
             continue
         u, v, w = _side(p, q, a, b), _side(p, q, b, c), _side(p, q, c, a)
-        if (u > hair and v > hair and w > hair) or (u < -hair and v < -hair and w < -hair):
+        if (u > slack and v > slack and w > slack) or (u < -slack and v < -slack and w < -slack):
             return True
     return False
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _apart2(p, q):  # type: ignore[no-untyped-def]
+def _distance2(p, q):  # type: ignore[no-untyped-def]
     return (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
 
 
@@ -170,7 +176,7 @@ def walls(
         normals: ``(m, 3)`` unit, outwards; zero for faces that are no side of a wall.
 
     Returns:
-        The thicknesses, and the number of rows, from the first one, looked at with `effort`.
+        The thicknesses, and how many rows were examined, from the first on, within `effort`.
     """
     thickness = np.full(len(rows), np.inf)
     left = effort(len(corners))
@@ -199,7 +205,7 @@ def _walls(vertices, corners, normals, tree, rows, left, thickness):  # type: ig
 @njit(cache=True, nogil=True)
 def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
     """Distance along the unit ray p + t d to the first face apart from ``own``, that face, and
-    the boxes and triangles looked at."""
+    the boxes and triangles tested."""
     stack = np.empty(STACK, dtype=np.int32)
     stack[0] = 0
     depth = 1
@@ -213,22 +219,19 @@ def _first_hit(tree, corners, p, d, own):  # type: ignore[no-untyped-def]
             continue
         link = tree.nodes[node, 15]
         if link > 0.0:
-            first, last = children_of(link)
-            for child in range(first, last):
-                stack[depth] = child
-                depth += 1
+            depth = _push_children(stack, depth, link)
             continue
         first, last = triangles_of(link)
         work += last - first
         for t in range(first, last):
             hit = _ray(tree.corners[t], p, d)
-            if hit < best and not _touching(corners, own, tree.order[t]):
+            if hit < best and not _share_a_corner(corners, own, tree.order[t]):
                 best, face = hit, tree.order[t]
     return best, face, work
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _touching(corners, f, g):  # type: ignore[no-untyped-def]
+def _share_a_corner(corners, f, g):  # type: ignore[no-untyped-def]
     for i in range(3):
         for j in range(3):
             if corners[f, i] == corners[g, j]:
@@ -238,19 +241,19 @@ def _touching(corners, f, g):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _meets(box, p, d, best):  # type: ignore[no-untyped-def]
-    """Whether the ray meets the turned box, a hair widened, nearer than ``best``."""
+    """Whether the ray meets the oriented box, widened by rounding, nearer than ``best``."""
     enter, leave = 0.0, best
     dx, dy, dz = p[0] - box[0], p[1] - box[1], p[2] - box[2]
     for k in range(3):
         rx, ry, rz = box[6 + 3 * k], box[7 + 3 * k], box[8 + 3 * k]
         half = box[3 + k] * (1.0 + 1e-9) + 1e-15
         start = rx * dx + ry * dy + rz * dz
-        pace = rx * d[0] + ry * d[1] + rz * d[2]
-        if abs(pace) < 1e-300:
+        rate = rx * d[0] + ry * d[1] + rz * d[2]
+        if abs(rate) < 1e-300:
             if abs(start) > half:
                 return False
             continue
-        t0, t1 = (-half - start) / pace, (half - start) / pace
+        t0, t1 = (-half - start) / rate, (half - start) / rate
         enter, leave = max(enter, min(t0, t1)), min(leave, max(t0, t1))
     return enter <= leave
 
@@ -284,18 +287,17 @@ def crossings(
     own: IntArray,
     left: int,
 ) -> tuple[IntArray, int]:
-    """Pairs ``(k, 2)`` of a start and a shell that its ray crosses an odd number of times.
-
-    And how much of `effort` is left.
+    """Pairs ``(k, 2)`` of a start and a shell that its ray crosses an odd number of times, and the
+    `effort` left.
 
     Args:
         shells: ``(m,)`` the shell that each face of the tree belongs to, from 0; −1: none.
-        starts: ``(n, 3)`` [m], from where rays go along ``direction`` ``(3,)``.
-        own: ``(n,)`` the shell of each start, which its ray does not see.
-        left: of the `effort`.
+        starts: ``(n, 3)`` [m], origins of rays along ``direction`` ``(3,)``.
+        own: ``(n,)`` the shell of each start, which its ray ignores.
+        left: the `effort` allowed.
 
     Raises:
-        TooMuch: it was not enough.
+        WorkLimit: it is not enough.
     """
     room = 4 * len(starts) + 64
     while True:
@@ -304,7 +306,7 @@ def crossings(
             tree, shells, int(shells.max()) + 1, starts, direction, own, left, pairs
         )
         if left <= 0:
-            raise TooMuch
+            raise WorkLimit
         if count <= room:
             return pairs[:count].copy(), left
         room = count
@@ -319,7 +321,7 @@ def _crossings(tree, shells, count, starts, d, own, left, pairs):  # type: ignor
     found = 0
     for s in range(starts.shape[0]):
         p = starts[s]
-        meetings = 0
+        crossed = 0
         stack[0] = 0
         depth = 1
         while depth > 0 and left > 0:
@@ -330,10 +332,7 @@ def _crossings(tree, shells, count, starts, d, own, left, pairs):  # type: ignor
                 continue
             link = tree.nodes[node, 15]
             if link > 0.0:
-                first, last = children_of(link)
-                for child in range(first, last):
-                    stack[depth] = child
-                    depth += 1
+                depth = _push_children(stack, depth, link)
                 continue
             first, last = triangles_of(link)
             left -= last - first
@@ -344,10 +343,10 @@ def _crossings(tree, shells, count, starts, d, own, left, pairs):  # type: ignor
                 if seen[shell] != s:
                     seen[shell] = s
                     odd[shell] = False
-                    met[meetings] = shell
-                    meetings += 1
+                    met[crossed] = shell
+                    crossed += 1
                 odd[shell] = not odd[shell]
-        for k in range(meetings):
+        for k in range(crossed):
             if odd[met[k]]:
                 if found < pairs.shape[0]:
                     pairs[found, 0] = s

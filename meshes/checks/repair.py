@@ -1,4 +1,4 @@
-"""Mending a mesh without moving it: weld, drop what is no face, turn what is wound wrongly."""
+"""Repair without remeshing: weld vertices, drop degenerate and duplicate faces, fix windings."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from meshes.builtin.shapes import Arrays
 from meshes.checks.bodies import Bodies, bodies
 from meshes.checks.health import NEAR, checked_mesh
 from meshes.checks.topology import Topology, topology
-from meshes.checks.weld import first_of_kind, weld
-from meshes.formats.text import worded
+from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
+from meshes.content import compact
+from meshes.formats.text import pluralized
 from vf import Surface
 from vf.closest import SLIVER
 from vf.kernels import njit
@@ -27,14 +28,13 @@ class Changes:
     """What a repair did, and what it left.
 
     Attributes:
-        welded: vertices joined with one before them; ``farthest`` is the largest distance [m] that
-            a face's corner went by that.
+        welded: vertices joined with an earlier one; ``farthest`` is the largest distance [m].
         degenerate, duplicates: faces dropped.
         unused: vertices dropped because no face uses them.
         flipped: faces turned to agree with their patch.
         turned_bodies: closed bodies turned as a whole, to look outwards.
-        turned_patches: open patches turned as a whole, as asked for or with the body around them.
-        left: what could not be mended, a line each.
+        turned_patches: open patches turned as a whole, by ``flip`` or with the enclosing body.
+        left: defects that remain, a line each.
     """
 
     welded: int
@@ -49,12 +49,12 @@ class Changes:
 
     @property
     def any(self) -> bool:
-        """Whether anything at all is different."""
+        """Whether the repair changed the mesh."""
         return bool(self.lines())
 
     def lines(self) -> tuple[str, ...]:
         """What was done, a line for each kind that occurred."""
-        told = (
+        rows = (
             (self.welded, "welded {n} [vertex|vertices], the farthest over "
              f"{self.farthest * 1e6:.2g} µm"),
             (self.degenerate, "dropped {n} [face|faces] without area"),
@@ -64,14 +64,14 @@ class Changes:
             (self.turned_bodies, "turned {n} closed [body|bodies]"),
             (self.turned_patches, "turned {n} open [patch|patches]"),
         )  # fmt: skip
-        return tuple(worded(text, count) for count, text in told if count)
+        return tuple(pluralized(text, count) for count, text in rows if count)
 
 
 @dataclass(frozen=True)
 class Repaired:
-    """A mended mesh: vertices ``(n, 3)`` [m], faces ``(m, 3)``, and what was changed.
+    """A repaired mesh: vertices ``(n, 3)`` [m], faces ``(m, 3)``, and what was changed.
 
-    Vertices and faces keep their order; what is left of them has its place and first corner.
+    Vertices and faces keep their order, vertices their place, faces their first corner.
     """
 
     vertices: FloatArray
@@ -91,15 +91,15 @@ def repair(
     flip: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Repaired:
-    """A mended copy of a `vf.Surface`, or of vertices ``(n, 3)`` [m] and ``faces`` ``(m, 3)``.
+    """A repaired copy of a `vf.Surface`, or of vertices ``(n, 3)`` [m] and ``faces`` ``(m, 3)``.
 
-    Vertices within the tolerance become the first of them. Faces go that then repeat a corner or
-    another face, or are flatter than the tolerance (those only if no pair of neighbours would
-    lose an edge by it: a flat face can be the stitch that closes a seam). Faces turn to agree with
-    the majority of their patch, closed bodies to look outwards; what lies in a body turns with the
-    outermost around it, so that a cavity stays one, also where the wall around it has a hole or a
-    fin. An open patch has no outside to look to: ``flip`` turns every open one, with what lies in
-    them, for those who know. No hole is filled, nothing is cut or moved.
+    Vertices within the tolerance are replaced by the first of them. Faces are dropped that then
+    repeat a corner or another face, or are lower than the tolerance and have no neighbour (a flat
+    face with neighbours closes a seam between them). Faces are turned to agree with the majority of
+    their patch, closed bodies to face outwards; inner bodies turn with the outermost one around
+    them, so that a cavity stays one, also where the outer wall has a hole or a fin. The outside of
+    an open patch is unknown: ``flip`` turns all open patches and the bodies in them. No hole is
+    filled, nothing is cut or moved.
 
     Args:
         tolerance: of the weld [m]; a millionth of the diagonal by default.
@@ -123,8 +123,7 @@ def repair(
     f = place[f]
 
     say("faces")
-    a, b, c = f.T
-    collapsed = (a == b) | (b == c) | (c == a)
+    collapsed = repeats_a_corner(f)
     f = f[~collapsed]
     copies = first_of_kind(f) != np.arange(len(f))
     f = f[~copies]
@@ -132,7 +131,7 @@ def repair(
     t = topology(f, len(v)) if len(f) else None
     degenerate, stitches = int(collapsed.sum()), 0
     if t is not None and flat.any():
-        stray = flat & (t.mates.reshape(-1, 3) < 0).all(axis=1)
+        stray = flat & (t.opposite.reshape(-1, 3) < 0).all(axis=1)
         degenerate, stitches = degenerate + int(stray.sum()), int((flat & ~stray).sum())
         if stray.any():
             f = f[~stray]
@@ -155,41 +154,40 @@ def repair(
         left = _left(t, solid, stitches)
     else:
         left = ["nothing: no face had any area"]
-    kept = np.zeros(len(v), dtype=bool)
-    kept[f] = True
+    vertices, faces = compact(v, f)
     welded = int((stands_for != np.arange(len(rows))).sum())
     changes = Changes(
         welded=welded,
         farthest=float(distance.max(initial=0.0)),
         degenerate=degenerate,
         duplicates=int(copies.sum()),
-        unused=len(v) - welded - int(kept.sum()),
+        unused=len(v) - welded - len(vertices),
         flipped=flipped,
         turned_bodies=turned_bodies,
         turned_patches=turned_patches,
         left=tuple(left),
     )
-    return Repaired(v[kept], (np.cumsum(kept) - 1)[f], changes)
+    return Repaired(vertices, faces, changes)
 
 
 def _left(t: Topology, solid: Bodies, stitches: int) -> list[str]:
-    """What a repair cannot mend, in the words of the health report."""
-    told = (
-        (len(t.rim_starts) - 1, "{n} boundary [loop|loops]: holes are not filled"),
+    """The defects that remain."""
+    rows = (
+        (len(t.boundary_starts) - 1, "{n} boundary [loop|loops]: holes are not filled"),
         (int((~t.closed).sum()), "{n} open [patch has|patches have] no outside: see which way "
          "[it looks|they look]"),
-        (t.crowded_edges, "{n} [edge|edges] with more than two faces"),
+        (t.non_manifold_edges, "{n} [edge|edges] with more than two faces"),
         (len(t.pinched), "{n} [vertex|vertices] joining sheets that share no edge"),
         (int(t.one_sided.sum()), "{n} [patch|patches] with one side only"),
         (stitches, "{n} [face|faces] without area that close[s|] a seam"),
         (0 if solid.known else len(solid.patches), "{n} closed [body|bodies], not turned: so much "
          "overlaps that it was not worked out which lie inside others"),
     )  # fmt: skip
-    return [worded(text, count) for count, text in told if count]
+    return [pluralized(text, count) for count, text in rows if count]
 
 
 def _flat(v: FloatArray, f: IntArray, tolerance: float) -> NDArray[np.bool_]:
-    """``(m,)`` faces no higher than the tolerance, or than rounding, over their longest edge."""
+    """``(m,)`` faces whose height over the longest edge is within the tolerance or rounding."""
     flat = np.zeros(len(f), dtype=np.bool_)
     _find_flat(v, f, tolerance, flat)
     return flat

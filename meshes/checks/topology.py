@@ -1,7 +1,7 @@
-"""Who is beside whom in a triangle mesh, and which way round: what health and repair both need.
+"""Adjacency and orientation of a triangle mesh, for the health report and the repair.
 
-A half-edge is named h = 3 f + k, the edge of face f from its corner k to corner k + 1. Across an
-edge of exactly two faces each half-edge has a mate. A *patch* is connected across such edges, a
+Half-edge h = 3 f + k is the edge of face f from its corner k to corner k + 1. On an edge of exactly
+two faces each half-edge has an opposite one. A *patch* is connected across such edges, a
 *component* across any edge.
 """
 
@@ -18,8 +18,8 @@ from vf.surface import edge_keys
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-RIM, CROWDED = -1, -2
-"""In place of a mate: no other face, or more than one, is on that edge."""
+BOUNDARY, NON_MANIFOLD = -1, -2
+"""In place of an opposite half-edge: the edge has one face, or more than two."""
 
 
 @dataclass(frozen=True)
@@ -27,43 +27,43 @@ class Topology:
     """Adjacency of faces ``(m, 3)``, none of which has the same corner twice.
 
     Attributes:
-        mates: ``(3m,)`` the half-edge across, `RIM` or `CROWDED`.
+        opposite: ``(3m,)`` the opposite half-edge, `BOUNDARY` or `NON_MANIFOLD`.
         components, patches: ``(m,)`` numbers from 0 in order of their first face.
         minority: ``(m,)`` faces wound against most of their patch (of a tie: against the first).
-        closed: ``(patches,)`` no rim and no crowded edge.
+        closed: ``(patches,)`` neither boundary nor non-manifold edges.
         one_sided: ``(patches,)`` no winding is consistent (a Möbius strip): minority is all False.
-        edges: number of different edges; of them with one face ``rim_edges``, with more than two
-            ``crowded_edges``.
-        crowded: ``(k,)`` one half-edge for each of those with more than two.
-        fans: number of corners' fans: the vertices, had every sheet its own.
-        pinched: vertices that join several fans without a crowded edge.
-        rim, rim_starts: half-edges of the boundary loops one after the other ``(k,)``, and where
-            each loop starts ``(loops + 1,)``, the last one being k.
+        edges, boundary_edges, non_manifold_edges: numbers of all edges, of those with one face, and
+            of those with more than two.
+        non_manifold: ``(k,)`` one half-edge of each non-manifold edge.
+        fans: number of fans, the sets of faces connected about one vertex.
+        pinched: vertices of several fans without a non-manifold edge.
+        boundary, boundary_starts: half-edges of the boundary loops one after the other ``(k,)``,
+            and where each loop starts ``(loops + 1,)``, the last one being k.
     """
 
-    mates: IntArray
+    opposite: IntArray
     components: IntArray
     patches: IntArray
     minority: NDArray[np.bool_]
     closed: NDArray[np.bool_]
     one_sided: NDArray[np.bool_]
     edges: int
-    rim_edges: int
-    crowded_edges: int
-    crowded: IntArray
+    boundary_edges: int
+    non_manifold_edges: int
+    non_manifold: IntArray
     fans: int
     pinched: IntArray
-    rim: IntArray
-    rim_starts: IntArray
+    boundary: IntArray
+    boundary_starts: IntArray
 
     @property
     def genus(self) -> int | None:
-        """Handles of all components together (holes count as filled); None if it has no meaning:
-        crowded edges, or one-sided patches."""
-        if self.crowded_edges or bool(self.one_sided.any()):
+        """Handles of all components together, holes counted as filled; None where it is undefined
+        (non-manifold edges, one-sided patches)."""
+        if self.non_manifold_edges or bool(self.one_sided.any()):
             return None
-        loops, bodies = len(self.rim_starts) - 1, len(self.closed)
-        characteristic = self.fans - self.edges + len(self.mates) // 3
+        loops, bodies = len(self.boundary_starts) - 1, len(self.closed)
+        characteristic = self.fans - self.edges + len(self.opposite) // 3
         return bodies - (characteristic + loops) // 2
 
 
@@ -71,30 +71,31 @@ def topology(faces: IntArray, vertices: int) -> Topology:
     """Adjacency of ``faces`` ``(m, 3)`` over a number of ``vertices``."""
     keys = edge_keys(faces, vertices)
     rank = np.argsort(keys)
-    mates = np.empty(len(keys), dtype=np.int64)
-    crowd = np.empty(len(keys), dtype=np.int64)
+    opposite = np.empty(len(keys), dtype=np.int64)
+    non_manifold = np.empty(len(keys), dtype=np.int64)
     parents = np.arange(len(faces), dtype=np.int64)
-    edges, rim_edges, crowded = _match(keys, rank, mates, crowd, parents)
+    edges, boundary_edges, non_manifold_edges = _match(keys, rank, opposite, non_manifold, parents)
     components = _numbered(parents)
     patches = np.full(len(faces), -1, dtype=np.int64)
     turned = np.zeros(len(faces), dtype=np.bool_)
-    count, twisted = _walk(faces, mates, patches, turned)
+    count, twisted = _walk(faces, opposite, patches, turned)
     one_sided = np.zeros(count, dtype=bool)
     one_sided[patches[twisted // 3]] = True
     open_ = np.zeros(count, dtype=bool)
-    open_[patches[np.flatnonzero(mates < 0) // 3]] = True
+    open_[patches[np.flatnonzero(opposite < 0) // 3]] = True
     # Each patch was walked from its first face: turned is relative to that one.
     sizes = np.bincount(patches, minlength=count)
     against = np.bincount(patches[turned], minlength=count)
     minority = np.where((2 * against > sizes)[patches], ~turned, turned) & ~one_sided[patches]
-    fans, several = _fans(faces, mates, vertices)
-    on_crowd = np.zeros(vertices, dtype=bool)
-    half = np.flatnonzero(mates == CROWDED)
-    on_crowd[faces[half // 3, half % 3]] = True
-    on_crowd[faces[half // 3, (half + 1 - 3 * (half % 3 == 2)) % 3]] = True
+    fans, several = _fans(faces, opposite, vertices)
+    excluded = np.zeros(vertices, dtype=bool)
+    half = np.flatnonzero(opposite == NON_MANIFOLD)
+    excluded[faces[half // 3, half % 3]] = True
+    excluded[faces[half // 3, (half + 1 - 3 * (half % 3 == 2)) % 3]] = True
     return Topology(
-        mates, components, patches, minority, ~open_, one_sided, edges, rim_edges, crowded,
-        crowd[:crowded], fans, np.flatnonzero(several & ~on_crowd), *_rims(faces, mates),
+        opposite, components, patches, minority, ~open_, one_sided, edges, boundary_edges,
+        non_manifold_edges, non_manifold[:non_manifold_edges], fans,
+        np.flatnonzero(several & ~excluded), *_boundary_loops(faces, opposite),
     )  # fmt: skip
 
 
@@ -116,9 +117,9 @@ def _join(parents, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _match(keys, rank, mates, crowd, parents):  # type: ignore[no-untyped-def]
-    """Mates and components from the sorted edge table; counts of all, rim and crowded edges."""
-    edges = rim = crowded = 0
+def _match(keys, rank, opposite, non_manifold, parents):  # type: ignore[no-untyped-def]
+    """Fill opposite half-edges and components from the sorted edge table; return edge counts."""
+    edges = boundary_edges = non_manifold_edges = 0
     i = 0
     while i < keys.shape[0]:
         j = i + 1
@@ -127,19 +128,19 @@ def _match(keys, rank, mates, crowd, parents):  # type: ignore[no-untyped-def]
         edges += 1
         h = rank[i]
         if j - i == 1:
-            rim += 1
-            mates[h] = -1
+            boundary_edges += 1
+            opposite[h] = -1
         elif j - i == 2:
-            mates[h], mates[rank[i + 1]] = rank[i + 1], h
+            opposite[h], opposite[rank[i + 1]] = rank[i + 1], h
             _join(parents, h // 3, rank[i + 1] // 3)
         else:
-            crowd[crowded] = h
-            crowded += 1
+            non_manifold[non_manifold_edges] = h
+            non_manifold_edges += 1
             for k in range(i, j):
-                mates[rank[k]] = -2
+                opposite[rank[k]] = -2
                 _join(parents, h // 3, rank[k] // 3)
         i = j
-    return edges, rim, crowded
+    return edges, boundary_edges, non_manifold_edges
 
 
 @njit(cache=True, nogil=True)
@@ -158,7 +159,7 @@ def _numbered(parents):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _walk(faces, mates, patches, turned):  # type: ignore[no-untyped-def]
+def _walk(faces, opposite, patches, turned):  # type: ignore[no-untyped-def]
     """Breadth first over every patch; its number, and the half-edges where the winding clashes."""
     m = faces.shape[0]
     queue = np.empty(m, dtype=np.int64)
@@ -175,7 +176,7 @@ def _walk(faces, mates, patches, turned):  # type: ignore[no-untyped-def]
             head += 1
             for k in range(3):
                 h = 3 * f + k
-                g = mates[h]
+                g = opposite[h]
                 twisted[h] = False
                 if g < 0:
                     continue
@@ -194,20 +195,20 @@ def _walk(faces, mates, patches, turned):  # type: ignore[no-untyped-def]
     return count, np.flatnonzero(twisted)
 
 
-def _fans(faces: IntArray, mates: IntArray, vertices: int) -> tuple[int, NDArray[np.bool_]]:
+def _fans(faces: IntArray, opposite: IntArray, vertices: int) -> tuple[int, NDArray[np.bool_]]:
     """Number of fans, and the vertices ``(vertices,)`` with more than one."""
     parents = np.arange(3 * len(faces), dtype=np.int64)
     per_vertex = np.zeros(vertices, dtype=np.int64)
-    fans = _join_fans(faces, mates, parents, per_vertex)
+    fans = _join_fans(faces, opposite, parents, per_vertex)
     return int(fans), per_vertex > 1
 
 
 @njit(cache=True, nogil=True)
-def _join_fans(faces, mates, parents, per_vertex):  # type: ignore[no-untyped-def]
-    """Corners at one vertex that are joined across mated edges make one fan."""
-    for h in range(mates.shape[0]):
-        g = mates[h]
-        if g < h:  # no mate, or seen from the other side
+def _join_fans(faces, opposite, parents, per_vertex):  # type: ignore[no-untyped-def]
+    """Join the corners of a vertex across manifold edges; count fans."""
+    for h in range(opposite.shape[0]):
+        g = opposite[h]
+        if g < h:  # none, or done from the other side
             continue
         h1 = h + 1 - 3 * (h % 3 == 2)
         g1 = g + 1 - 3 * (g % 3 == 2)
@@ -225,30 +226,30 @@ def _join_fans(faces, mates, parents, per_vertex):  # type: ignore[no-untyped-de
     return fans
 
 
-def _rims(faces: IntArray, mates: IntArray) -> tuple[IntArray, IntArray]:
+def _boundary_loops(faces: IntArray, opposite: IntArray) -> tuple[IntArray, IntArray]:
     """Half-edges of the boundary loops one after the other ``(k,)``, and ``(loops + 1,)`` starts.
 
-    The walk turns about each vertex through the faces of one fan: holes that touch at a vertex
-    are one loop, as if the pinch were opened. It follows crowded edges from one rim edge to the
-    next, and the winding of the faces does not matter.
+    The walk turns about each vertex through the faces of one fan, so that holes touching at a
+    vertex are one loop. It follows non-manifold edges from one boundary edge to the next, and does
+    not depend on the winding.
     """
-    half = np.flatnonzero(mates < 0)
+    half = np.flatnonzero(opposite < 0)
     order = np.empty(len(half), dtype=np.int64)
     starts = np.empty(len(half) + 1, dtype=np.int64)
-    loops = _trace(faces, mates, half, order, starts)
+    loops = _trace(faces, opposite, half, order, starts)
     return order[: starts[loops]].copy(), starts[: loops + 1].copy()
 
 
 @njit(cache=True, nogil=True)
-def _trace(faces, mates, half, order, starts):  # type: ignore[no-untyped-def]
-    seen = np.zeros(mates.shape[0], dtype=np.bool_)
+def _trace(faces, opposite, half, order, starts):  # type: ignore[no-untyped-def]
+    seen = np.zeros(opposite.shape[0], dtype=np.bool_)
     loops = done = 0
     for start in half:
-        if mates[start] != -1 or seen[start]:
+        if opposite[start] != -1 or seen[start]:
             continue
         starts[loops] = done
         h = start
-        ahead = True  # walked from corner k to k + 1?
+        ahead = True  # from corner k to k + 1
         while not seen[h]:
             seen[h] = True
             order[done] = h
@@ -256,7 +257,7 @@ def _trace(faces, mates, half, order, starts):  # type: ignore[no-untyped-def]
             while True:
                 # Turn about the vertex ahead: the other edge of this face at it.
                 h = h + 1 - 3 * (h % 3 == 2) if ahead else h - 1 + 3 * (h % 3 == 0)
-                g = mates[h]
+                g = opposite[h]
                 if g < 0:
                     break
                 # A neighbour wound alike has the vertex ahead as well.

@@ -1,7 +1,7 @@
-"""Corners at the same place, and faces on the same corners: hash tables compiled with numba.
+"""Vertices at the same place and faces on the same corners, by hash tables.
 
-A k-d tree would list every pair of near points, which a hostile file can make quadratic; here
-work and memory stay linear whatever the points are.
+A k-d tree would list every pair of near points, which is quadratic for clustered points; this is
+linear for any points.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ _FINE = 1e-12
 
 
 def weld(vertices: FloatArray, tolerance: float) -> tuple[IntArray, FloatArray]:
-    """For every vertex the one that stands for it, and the distance to it [m].
+    """The representative of every vertex, and the distance to it [m].
 
-    In the vertices' order each one joins the nearest representative within ``tolerance`` [m], or
-    becomes one: nothing ends farther than the tolerance from where it was, chains of near points
-    included. Zero joins equal places only (−0 and 0 are equal).
+    In their order, vertices join the nearest representative within ``tolerance`` [m] or become one:
+    none moves farther than the tolerance, also in a chain of near points. Zero joins equal places
+    only (−0 and 0 are equal).
 
     Args:
         vertices: ``(n, 3)``, finite.
 
     Returns:
-        Representatives ``(n,)``, themselves where nothing was joined, and distances ``(n,)``.
+        Representatives ``(n,)`` (a vertex that joins none is its own) and distances ``(n,)``.
     """
     if not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise ValueError(f"the weld tolerance must be a length of zero or more, not {tolerance}")
@@ -98,6 +98,13 @@ def _equal(vertices, v, w):  # type: ignore[no-untyped-def]
         and vertices[v, 1] == vertices[w, 1]
         and vertices[v, 2] == vertices[w, 2]
     )
+
+
+def repeats_a_corner(corners: IntArray) -> NDArray[np.bool_]:
+    """``(m,)`` faces ``(m, 3)`` with the same corner twice."""
+    a, b, c = corners.T
+    repeats: NDArray[np.bool_] = (a == b) | (b == c) | (c == a)
+    return repeats
 
 
 def first_of_kind(faces: IntArray) -> IntArray:

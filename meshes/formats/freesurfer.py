@@ -24,7 +24,7 @@ def read(data: bytes) -> Content:
         raise MeshError("FreeSurfer's old quadrangle format: convert it with mris_convert")
     if not data.startswith(MAGIC):
         raise MeshError("not a FreeSurfer surface: it does not begin with its mark")
-    # Two lines, of which the second is empty: who made it, and when.
+    # A line with author and date, and an empty line.
     head = data[3:2000].find(b"\n\n") + 5
     if head < 5 or len(data) < head + 8:
         raise cut_off("two lines and two counts at the start")

@@ -16,17 +16,17 @@ _TYPES = {
     "NIFTI_TYPE_UINT8": "u1", "NIFTI_TYPE_INT16": "i2", "NIFTI_TYPE_INT32": "i4",
     "NIFTI_TYPE_UINT32": "u4", "NIFTI_TYPE_INT64": "i8", "NIFTI_TYPE_FLOAT32": "f4",
     "NIFTI_TYPE_FLOAT64": "f8",
-    # The same as numbers, which older programs write.
+    # The numeric codes of older programs.
     "2": "u1", "4": "i2", "8": "i4", "16": "f4", "64": "f8", "768": "u4", "1024": "i8",
 }  # fmt: skip
-# Each also as older programs write it.
+# Each also with the name that older programs write.
 _TEXT = ("ascii", "gifti_encoding_ascii")
 _PLAIN = ("base64binary", "gifti_encoding_b64bin")
 _PACKED = ("gzipbase64binary", "gifti_encoding_b64gz")
 _ELSEWHERE = ("externalfilebinary", "gifti_encoding_extbin")
 _POINTS = ("NIFTI_INTENT_POINTSET", "1008")
 _TRIANGLES = ("NIFTI_INTENT_TRIANGLE", "1009")
-# GIfTI's coordinates are RAS in each of these; they differ in the origin.
+# All of them are RAS; they differ in the origin.
 _SPACES = {
     "NIFTI_XFORM_UNKNOWN": "a space that the file does not name",
     "NIFTI_XFORM_SCANNER_ANAT": "the scanner's space",
@@ -73,7 +73,7 @@ def read(data: bytes) -> Content:
             f"GIfTI with {len(points)} sets of points and {len(faces)} of triangles:"
             " a surface has one of each"
         )
-    # Counted together, before either is unpacked.
+    # The limit holds for the sum, before anything is decompressed.
     check_unpacked(sum(_bytes(array) for array in (points[0], faces[0])), len(data))
     vertices = _table(points[0]).astype(np.float64)
     corners = text.whole(_table(faces[0]).astype(np.float64), "a corner")
@@ -84,11 +84,8 @@ def read(data: bytes) -> Content:
 
 def _shape(array: _Array) -> tuple[int, int]:
     sizes = [array.attributes.get(f"Dim{k}", "") for k in range(2)]
-    if array.attributes.get("Dimensionality") != "2" or not all(
-        s.isdecimal() and len(s) < 12 for s in sizes
-    ):
-        raise MeshError(f"an array of {' × '.join(s[:20] for s in sizes)} is no table of threes")
-    if sizes[1] != "3":
+    rows = sizes[0].isdecimal() and len(sizes[0]) < 12
+    if array.attributes.get("Dimensionality") != "2" or not rows or sizes[1] != "3":
         raise MeshError(f"an array of {' × '.join(s[:20] for s in sizes)} is no table of threes")
     return int(sizes[0]), 3
 

@@ -1,14 +1,12 @@
-"""Reading glTF 2.0 and GLB: the triangles of the scene that a file shows, and nothing else.
+"""Reading glTF 2.0 and GLB: the triangles of the default scene.
 
-An own reader: trimesh takes whole numbers for metres, leaves out fans and sparse changes, and does
-not look at the extensions that a file requires. Here a file is read as its standard says, or
-refused by the name of what is not understood. Textures are never opened.
+An own reader: trimesh does not scale normalized integers, and ignores triangle fans, sparse
+accessors and required extensions. A file with a feature that is not supported is refused by the
+name of that feature. Textures are never opened.
 """
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
 from pathlib import Path
 from typing import Any
@@ -27,19 +25,21 @@ from meshes.content import (
     check_placed,
     checked,
     cut_off,
+    moved,
 )
 from meshes.errors import MeshError
+from meshes.packed import base64_piece
 from meshes.polygons import strips
 
 MOST_NODES = 100_000
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-# Extensions that may be required and do not move a vertex: looks, light, and names.
+# Required extensions that do not move a vertex: materials, lights, metadata.
 HARMLESS = (
     "KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp",
     "EXT_texture_", "EXT_lights_", "EXT_mesh_features", "EXT_structural_metadata", "MSFT_texture_",
     "KHR_node_visibility", "KHR_technique", "KHR_animation_", "EXT_materials_",
 )  # fmt: skip
-PLACES_MORE = ("EXT_mesh_gpu_instancing",)  # also where it is not required: there is more to see
+PLACES_MORE = ("EXT_mesh_gpu_instancing",)  # refused also where it is not required
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -52,8 +52,8 @@ def read(data: bytes, kind: str, folder: Path) -> Content:
     Buffers in other files are opened beside or below ``folder``, and nowhere else.
 
     Raises:
-        MeshError: cut off, damaged, or in need of something that is not understood; or so many
-            nodes, vertices or triangles, each counted as often as it is placed.
+        MeshError: cut off, damaged, with a feature that is not supported, or too many nodes,
+            vertices or triangles, each counted as often as it is placed.
     """
     header, chunk = _parts(data) if kind == "glb" else (_json(data), None)
     try:
@@ -119,7 +119,7 @@ def _content(header: dict[str, Any], chunk: bytes | None, size: int, folder: Pat
     costs = [[file.cost(primitive) for primitive in mesh["primitives"]] for mesh in meshes]
     totals = [(len(cost), sum(a for a, _ in cost), sum(b for _, b in cost)) for cost in costs]
     parts, triangles, items = (sum(totals[mesh][k] for mesh, _T in placed) for k in range(3))
-    # A triangle takes two bytes at the least, as the next corner of a strip.
+    # A triangle takes at least two bytes: one more index of a strip.
     check_placed(triangles, file.size // 2)
     if items > 4 * allowed_placed(file.size // 2):
         raise MeshError(f"claims {items:,} vertices and corners, more than is allowed")
@@ -130,7 +130,7 @@ def _content(header: dict[str, Any], chunk: bytes | None, size: int, folder: Pat
     for mesh, T in placed:
         if mesh not in known:
             known[mesh] = [file.body(primitive) for primitive in meshes[mesh]["primitives"]]
-        bodies += [_moved(vertices, faces, T) for vertices, faces in known[mesh]]
+        bodies += [moved(vertices, faces, T) for vertices, faces in known[mesh]]
     if file.left_out:
         notes.append(f"{file.left_out:,} of its parts are points or lines: no surface.")
     comment = header["asset"].get("generator", "")
@@ -149,7 +149,7 @@ def _check_extensions(header: dict[str, Any]) -> None:
 
 
 def _placed(header: dict[str, Any]) -> tuple[list[tuple[int, NDArray[np.float64]]], list[str]]:
-    """Each placed mesh with its ``T_scene_node``, and what to tell about it."""
+    """Each placed mesh with its ``T_scene_node``, and notes."""
     nodes, notes = header.get("nodes", []), []
     if len(nodes) > MOST_NODES:
         raise MeshError(f"{len(nodes):,} nodes are more than the {MOST_NODES:,} allowed")
@@ -207,15 +207,6 @@ def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
     return T
 
 
-def _moved(vertices: NDArray[np.float64], faces: NDArray[np.int64], T: NDArray[Any]) -> Arrays:
-    if not np.array_equal(T, np.eye(4)):  # moving by nothing would still round
-        vertices = vertices @ T[:3, :3].T + T[:3, 3]
-        if np.linalg.det(T[:3, :3]) < 0:  # a mirror turns the winding inside out
-            faces = faces[:, ::-1]
-        checked(vertices, faces)
-    return vertices, faces
-
-
 def _index(value: Any, among: list[Any], what: str) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < len(among):
         raise MeshError(f"refers to {what} {str(value)[:20]}, of {len(among)}")
@@ -229,7 +220,7 @@ def _count(value: Any, what: str) -> int:
 
 
 class _File:
-    """Buffers and the arrays in them; nothing is made before its size was looked at."""
+    """Buffers and the arrays in them; sizes are checked before arrays are allocated."""
 
     def __init__(
         self, header: dict[str, Any], chunk: bytes | None, size: int, folder: Path
@@ -242,7 +233,7 @@ class _File:
         self.left_out = 0
 
     def cost(self, primitive: dict[str, Any]) -> tuple[int, int]:
-        """Triangles of a primitive, and the numbers it reads; counts only."""
+        """Numbers of triangles and of values of a primitive, from its counts alone."""
         accessors = self._header.get("accessors", [])
         mode = primitive.get("mode", _TRIANGLES)
         if mode in _POINTS_AND_LINES or "POSITION" not in primitive["attributes"]:
@@ -289,7 +280,7 @@ class _File:
         raise MeshError(f"a primitive of unknown mode {str(mode)[:20]}")
 
     def _array(self, index: Any, wanted: str) -> NDArray[np.generic]:
-        """The numbers of an accessor, ``(count, width)``, whole ones normalized where it says."""
+        """The values of an accessor, ``(count, width)``; normalized integers are scaled."""
         accessors = self._header.get("accessors", [])
         accessor = accessors[_index(index, accessors, "accessor")]
         if accessor["type"] != wanted:
@@ -313,8 +304,7 @@ class _File:
         return values
 
     def _changed(self, values: NDArray[Any], sparse: dict[str, Any]) -> NDArray[np.generic]:
-        """A copy with the rows that a sparse accessor gives."""
-        count, width = values.shape
+        """A copy with the rows of a sparse accessor replaced."""
         count, width = values.shape
         rows = _count(sparse["count"], "a count")
         where, what = sparse["indices"], sparse["values"]
@@ -338,7 +328,7 @@ class _File:
     def _view(
         self, index: Any, part: dict[str, Any], kind: np.dtype[Any], count: int, width: int
     ) -> NDArray[np.generic]:
-        """``count`` rows of ``width`` numbers of a buffer view; a look, not a copy."""
+        """``count`` rows of ``width`` numbers of a buffer view, not copied."""
         views = self._header.get("bufferViews", [])
         view = views[_index(index, views, "bufferView")]
         if any(name in view.get("extensions", {}) for name in COMPRESSED):
@@ -375,18 +365,14 @@ class _File:
         return self._buffers[index]
 
     def _from(self, uri: str) -> bytes:
-        """The bytes that a URI holds or names; only beside or below the file's folder."""
+        """The bytes that a data URI holds, or of a file in or below the mesh file's folder."""
         if uri.startswith("data:"):
             kind, _, body = uri.partition(",")
-            if not kind.endswith(";base64"):
-                return unquote_to_bytes(body)
-            try:
-                return base64.b64decode(unquote_to_bytes(body), validate=True)
-            except binascii.Error as error:
-                raise MeshError(f"its base64 data is damaged or cut off ({error})") from None
+            content = unquote_to_bytes(body)
+            return base64_piece(content) if kind.endswith(";base64") else content
         name = unquote(uri)
         shown = name[:60]
-        # Links are followed first, so that they cannot lead out either.
+        # Symbolic links are resolved before the check.
         file = (self._folder / name).resolve() if "\0" not in name else self._folder
         if "://" in name or not file.is_relative_to(self._folder):
             raise MeshError(f"refers to {shown!r}, which is not beside it: not opened")

@@ -1,8 +1,7 @@
-"""Reading Wavefront OBJ: positions and faces, nothing else.
+"""Reading Wavefront OBJ: positions and faces.
 
-An own reader, because trimesh splits positions that carry several normals or texture points,
-drops what no face uses, and takes index 0 for the first vertex: a fixture needs the positions and
-the neighbours as the file has them. Material files are never opened.
+An own reader: trimesh splits positions with several normals or texture coordinates, drops unused
+vertices, and takes index 0 for the first vertex. Material files are never opened.
 """
 
 from __future__ import annotations
@@ -13,18 +12,18 @@ from array import array
 import numpy as np
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import triangles
+from meshes.polygons import body
 
-# Statements that say nothing about where the surface is.
+# Statements without geometry.
 _KNOWN = frozenset(
     b"vt vn vp l p g o s mg mtllib usemtl usemap maplib bevel c_interp d_interp lod"
     b" shadow_obj trace_obj cstype deg bmat step parm trim hole scrv sp end con ctech stech".split()
 )
 _SURFACES = frozenset(b"surf curv curv2 call csh".split())
-# As MeshLab and this sandbox write them above the vertices.
+# Comments with counts, as MeshLab and `meshes.save` write them above the vertices.
 _PROMISE = re.compile(rb"#\s*(vertices|faces)\s*:\s*(\d+)\s*\Z", re.IGNORECASE)
 
 
@@ -68,9 +67,9 @@ def read(data: bytes) -> Content:
         elif kind not in _KNOWN and unknown is None:
             unknown = number, line
     if unknown is not None and not counts:
-        raise MeshError(f"not Wavefront OBJ: line {unknown[0]} is {text.shown(unknown[1])}")
+        raise MeshError(f"not Wavefront OBJ: line {unknown[0]} is {text.quoted(unknown[1])}")
     if unknown is not None:
-        notes.append(f"Line {unknown[0]} is not understood: {text.shown(unknown[1])}.")
+        notes.append(f"Line {unknown[0]} is not understood: {text.quoted(unknown[1])}.")
     there = {b"vertices": vertices, b"faces": len(counts)}
     for what, count in promised.items():
         if there[what] < count:
@@ -79,18 +78,17 @@ def read(data: bytes) -> Content:
     if thin:
         notes.append(f"{thin:,} of the faces have fewer than three corners: no surface.")
     points = np.array(positions, dtype=np.float64).reshape(-1, 3)
-    checked(points, np.empty((0, 3), dtype=np.int64))
-    faces = triangles(points, np.array(corners, dtype=np.int64), np.array(counts, dtype=np.int64))
+    polygons = np.array(corners, dtype=np.int64), np.array(counts, dtype=np.int64)
     comments = b"\n".join(x for x in plain[:10_000].split(b"\n") if x.lstrip().startswith(b"#"))
     return Content(
-        [checked(points, faces)],
+        [body(points, polygons)],
         frame=frames.in_text(comments),
         notes=(*notes, *text.open_end(plain)),
     )
 
 
 def _joined(plain: bytes) -> bytes:
-    """Lines that a backslash carries on, as one; the number of lines stays."""
+    """Lines continued by a backslash joined; line numbers stay."""
     if b"\\\n" not in plain:
         return plain
     parts = re.split(rb"((?:[^\n]*\\\n)+)", plain)
@@ -103,9 +101,9 @@ def _joined(plain: bytes) -> bytes:
 
 
 def _polygon(words: list[bytes], vertices: int, corners: array[int], line: int) -> int:
-    """Adds the zero-based corners of one face, and returns how many they are.
+    """Append the zero-based corners of one face; return their number.
 
-    Negative indices count back from the latest of the vertices so far.
+    Negative indices count back from the latest vertex.
     """
     count = 0
     for word in words[1:]:
@@ -115,7 +113,7 @@ def _polygon(words: list[bytes], vertices: int, corners: array[int], line: int) 
             index = int(word.partition(b"/")[0])
             corners.append(index - 1 if index > 0 else vertices + index)
         except (ValueError, OverflowError):
-            raise MeshError(f"line {line}: {text.shown(word)} is no corner of a face") from None
+            raise MeshError(f"line {line}: {text.quoted(word)} is no corner of a face") from None
         if index == 0:
             raise MeshError(f"line {line}: a face refers to vertex 0; OBJ counts from 1")
         if index < -vertices:

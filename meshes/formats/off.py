@@ -1,4 +1,4 @@
-"""Reading OFF: with or without colours and normals, words on lines or not."""
+"""Reading OFF: with or without colours and normals, with any line breaks."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import triangles, unpacked
+from meshes.polygons import body, unpacked
 
 _KEYWORD = re.compile(rb"\s*(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z])([ \t]*BINARY)?", re.IGNORECASE)
 # Two counts alone on a line, or three anywhere: vertices, faces, edges.
@@ -33,7 +33,7 @@ def read(data: bytes) -> Content:
         plain = re.sub(rb"#[^\n]*", b"", plain)
     keyword = _KEYWORD.match(plain)
     if keyword is None and not re.match(rb"\s*\d", plain):
-        line = text.shown(plain.lstrip().partition(b"\n")[0])
+        line = text.quoted(plain.lstrip().partition(b"\n")[0])
         raise MeshError(f"does not begin with 'OFF' but with {line}")
     if keyword is not None and (keyword.group(4) or keyword.group(5)):
         raise MeshError("four or more dimensions: only OFF in three is a surface")
@@ -46,11 +46,10 @@ def read(data: bytes) -> Content:
         raise MeshError(f"counts {vertices} vertices and {faces} faces")
     if 2 * (3 * vertices + faces) > len(plain):
         raise cut_off(f"{vertices:,} vertices and {faces:,} faces", f"{len(plain):,} bytes")
-    body = plain[found.end() :]
-    points, corners, counts, notes = _free(body, vertices, faces) or _lines(body, vertices, faces)
-    checked(points, np.empty((0, 3), dtype=np.int64))
+    rest = plain[found.end() :]
+    points, corners, counts, notes = _free(rest, vertices, faces) or _lines(rest, vertices, faces)
     return Content(
-        [checked(points, triangles(points, corners, counts))],
+        [body(points, (corners, counts))],
         frame=frames.in_text(comments),
         notes=(*notes, *text.open_end(plain)),
     )
@@ -60,7 +59,7 @@ Parts = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], tuple[s
 
 
 def _free(body: bytes, vertices: int, faces: int) -> Parts | None:
-    """Numbers in whatever lines; None unless there are exactly as many as without any extras."""
+    """Numbers with any line breaks; None if there are more or fewer than the counts need."""
     numbers = text.numbers(body, "among vertices and faces")
     try:
         flat = text.whole(numbers[3 * vertices :], "a face")
@@ -73,7 +72,7 @@ def _free(body: bytes, vertices: int, faces: int) -> Parts | None:
 
 
 def _lines(body: bytes, vertices: int, faces: int) -> Parts:
-    """A vertex or a face on each line, maybe with a normal, a colour or more behind it."""
+    """A vertex or a face on each line, with or without further numbers after it."""
     lines = [line for line in body.split(b"\n") if line.strip()]
     promised = f"{vertices:,} vertices and {faces:,} faces"
     if len(lines) < vertices + faces:
@@ -82,7 +81,7 @@ def _lines(body: bytes, vertices: int, faces: int) -> Parts:
     for row, line in enumerate(lines[:vertices]):
         words = line.split(None, 3)
         if len(words) < 3:
-            raise MeshError(f"vertex {row} has {len(words)} coordinates: {text.shown(line)}")
+            raise MeshError(f"vertex {row} has {len(words)} coordinates: {text.quoted(line)}")
         points[row] = [text.number(word, f"vertex {row}") for word in words[:3]]
     corners: list[int] = []
     counts = np.empty(faces, dtype=np.int64)

@@ -1,7 +1,7 @@
 """Reading PLY: text and binary, any properties, polygons and triangle strips.
 
-An own reader, because trimesh reads a text file that is cut off as a smaller mesh, no polygons of
-several sizes from a binary one, and strips not at all.
+An own reader: trimesh accepts a truncated text file as a smaller mesh, and reads neither strips nor
+binary polygons of several sizes.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import strips, triangles
+from meshes.polygons import NO_LISTS, Lists, body
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -56,24 +56,23 @@ def read(data: bytes) -> Content:
     notes: tuple[str, ...] = ()
     if order == "":
         notes = text.open_end(data)
-        # From here on as if it were binary, of one type.
+        # Converted to binary of one type.
         plain = text.required(data[start:])
         numbers = text.numbers(plain, "after the header")
         if not _fits(numbers, elements):
             numbers = _rows(plain, elements)
-        body, order = numbers.astype("<f8").tobytes(), "<"
+        content, order = numbers.astype("<f8").tobytes(), "<"
         for element in elements:
             element.properties = [
                 _Property(p.name, "f8", "f8" if p.count else None) for p in element.properties
             ]
     else:
-        body = data[start:]
+        content = data[start:]
     points: NDArray[np.float64] | None = None
-    faces: list[NDArray[np.int64]] = []
-    corners: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    lists: dict[str, list[Lists]] = {"face": [NO_LISTS], "tristrips": [NO_LISTS]}
     place = 0
     for element in elements:
-        columns, place = _columns(body, place, element, order)
+        columns, place = _columns(content, place, element, order)
         if element.name == "vertex":
             if not {"x", "y", "z"} <= columns.keys():
                 raise MeshError("its vertices have no x, y and z")
@@ -81,25 +80,22 @@ def read(data: bytes) -> Content:
             if any(isinstance(axis, tuple) for axis in axes):
                 raise MeshError("its vertices have lists for x, y or z")
             points = np.column_stack([np.asarray(axis, dtype=np.float64) for axis in axes])
-        elif element.name in ("face", "tristrips") and element.count:
+        elif element.name in lists and element.count:
             found = [columns[name] for name in _CORNERS if name in columns]
             if not found or not isinstance(found[0], tuple):
                 raise MeshError(f"its element {element.name} has no list vertex_indices")
             flat, counts = found[0]
             flat = text.whole(flat.astype(np.float64), f"a corner in {element.name}")
-            if element.name == "face":
-                corners.append((flat, counts))
-            else:
-                ends = np.cumsum(counts)[:-1]
-                faces.append(strips(np.insert(flat, ends, -1)))
+            lists[element.name].append((flat, counts))
     if points is None:
         raise MeshError("no element vertex in its header")
-    checked(points, np.empty((0, 3), dtype=np.int64))
-    polygons = [triangles(points, flat, counts) for flat, counts in corners]
-    everything = np.vstack([np.empty((0, 3), dtype=np.int64), *polygons, *faces])
-    if place < len(body):
+    polygons, strips = (
+        (np.concatenate([flat for flat, _ in some]), np.concatenate([n for _, n in some]))
+        for some in lists.values()
+    )
+    if place < len(content):
         notes = ("What comes after the last element is not looked at.",)
-    return Content([checked(points, everything)], None, frames.in_text(comments), notes)
+    return Content([body(points, polygons, strips)], None, frames.in_text(comments), notes)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
@@ -107,7 +103,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
     first = re.match(rb"(?:\xef\xbb\xbf)?\s*ply[ \t]*(\r\n|\n|\r)", data[:100], re.IGNORECASE)
     if first is None:
         raise MeshError("does not begin with a line 'ply'")
-    # Of the data's first bytes none may be taken for a part of the last line's end.
+    # The header's own line end: the data may begin with bytes that look like one.
     end = re.escape(first.group(1))
     odd = rb"\r?" if first.group(1) == b"\n" else b""
     last = end + rb"[ \t]*end_header[ \t]*" + odd + end
@@ -135,7 +131,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], str, int]:
                     raise ValueError
             elif kind == "property":
                 elements[-1].properties.append(_property(words[1:]))
-            # Anything else is a comment that a program has broken into two lines.
+            # Other lines are ignored: some programs break comments into two lines.
         except (IndexError, ValueError, KeyError) as error:
             if isinstance(error, MeshError):
                 raise
@@ -153,7 +149,7 @@ def _property(words: list[str]) -> _Property:
 
 
 def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
-    """Whether a text has as many numbers as its header says, or fewer."""
+    """Whether a text has no more numbers than its header says."""
     place, end = 0, len(numbers)
     for element in elements:
         lists = [p.count is not None for p in element.properties]
@@ -163,7 +159,7 @@ def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
         for _ in range(element.count):
             for is_list in lists:
                 if place >= end:
-                    return True  # cut off, which is told where it is read
+                    return True  # truncated: `_columns` raises
                 length = numbers[place] if is_list else 0.0
                 if not (length >= 0 and length == int(length)):
                     return False
@@ -172,9 +168,9 @@ def _fits(numbers: NDArray[np.float64], elements: list[_Element]) -> bool:
 
 
 def _rows(plain: bytes, elements: list[_Element]) -> NDArray[np.float64]:
-    """The numbers that are looked for, of lines that hold more than their header says.
+    """The numbers of the needed properties, from lines with more numbers than the header says.
 
-    Of each element only the properties up to the last of them stay.
+    Properties after the last needed one are removed from each element.
     """
     lines = [line for line in plain.split(b"\n") if line.strip()]
     if len(lines) < sum(element.count for element in elements):
@@ -235,7 +231,7 @@ def _columns(
 def _row(
     body: bytes, place: int, properties: list[_Property], order: str
 ) -> tuple[np.dtype[np.void] | None, dict[int, int]]:
-    """How the first row lies in memory, and its lists' lengths; None where it is cut off."""
+    """The dtype of the first row, None where it is truncated, and the lengths of its lists."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     lengths: dict[int, int] = {}
     for k, p in enumerate(properties):
@@ -252,7 +248,7 @@ def _row(
 
 
 def _length(body: bytes, place: int, kind: str) -> int | None:
-    """A list's length; None where the data ends before it."""
+    """A list's length; None where the data ends before."""
     if place + np.dtype(kind).itemsize > len(body):
         return None
     length = float(np.frombuffer(body, kind, count=1, offset=place)[0])
@@ -264,7 +260,7 @@ def _length(body: bytes, place: int, kind: str) -> int | None:
 def _walked(
     body: bytes, place: int, element: _Element, order: str, short: MeshError
 ) -> tuple[dict[str, Column], int]:
-    """`_columns` row by row, as it has to be where lists differ in length."""
+    """`_columns` row by row, for lists of different lengths."""
     letters = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f",
                "f8": "d", "i8": "q", "u8": "Q"}  # fmt: skip
     places: list[list[int]] = [[] for _ in element.properties]

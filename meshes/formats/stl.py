@@ -1,8 +1,7 @@
-"""Reading STL, text and binary, as programs write it rather than as it was once specified.
+"""Reading STL, text and binary, with the deviations of common programs.
 
-Counts of zero, bytes after the last triangle, attributes with data behind them, "solid" at the
-start of a binary file, names that hold keywords, any white space: all are met every day. What is
-short of what it promises is refused.
+These are counts of zero, bytes after the last triangle, attributes followed by data, "solid" at the
+start of a binary file, names with keywords, and any white space. Truncated files are refused.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def read(data: bytes) -> Content:
     if len(data) < _HEAD:
         raise MeshError(f"{len(data)} bytes are too few for an STL file")
     if plain is not None:
-        line = text.shown(plain.lstrip().partition(b"\n")[0])
+        line = text.quoted(plain.lstrip().partition(b"\n")[0])
         raise MeshError(f"text that does not begin with 'solid' but with {line}: not STL")
     return _binary(data)
 
@@ -74,10 +73,10 @@ def _text(plain: bytes) -> Content:
     if rest and inside and re.match(rb"facet\s", rest + b"\n", re.IGNORECASE):
         if re.search(rb"end\s*facet", rest, re.IGNORECASE):
             raise MeshError(f"{where}: a facet that is not three vertices of three numbers each")
-        rest = b""  # its last facet is cut
+        rest = b""  # the last facet is truncated
     if rest:
         wanted = "'facet' or 'endsolid'" if inside else "'solid'"
-        line = text.shown(rest.partition(b"\n")[0])
+        line = text.quoted(rest.partition(b"\n")[0])
         raise MeshError(f"{where}: {line} where {wanted} should be")
     if inside:
         raise cut_off("to go on until 'endsolid'")
@@ -89,9 +88,9 @@ def _text(plain: bytes) -> Content:
 
 
 def _name_end(plain: bytes, start: int, begins: bool) -> int:
-    """Where the name of a solid that begins or ends ends: with its line, or before its facets.
+    """The end of a solid's name, after 'solid' or 'endsolid': its line's end, or the first facet.
 
-    The name may hold any words; what has no lines goes on with facets, or with another solid.
+    In a file without line breaks, facets or another solid follow the name.
     """
     end = plain.find(b"\n", start)
     end = len(plain) if end < 0 else end
@@ -114,7 +113,7 @@ def _binary(data: bytes) -> Content:
     notes: list[str] = []
     rows: NDArray[np.void] | None = None
     if count == 0 and room:
-        # Programs that write as they go leave it at that; then the length is all there is.
+        # Some programs never write the count; the file's length gives it.
         if room % _RECORD.itemsize:
             raise MeshError(
                 f"its header counts 0 triangles and its length fits none"
@@ -142,7 +141,7 @@ def _binary(data: bytes) -> Content:
 
 
 def _with_data(data: bytes, count: int) -> NDArray[np.void] | None:
-    """The triangles of a file in which attributes say how many bytes follow each of them."""
+    """The triangles of a file whose attributes give the number of bytes after each of them."""
     places = []
     place = _HEAD
     for _ in range(count):
@@ -158,7 +157,7 @@ def _with_data(data: bytes, count: int) -> NDArray[np.void] | None:
 
 
 def _plausible(known: NDArray[np.void], more: NDArray[np.void]) -> bool:
-    """Whether what follows the triangles of a file looks like more of them."""
+    """Whether data after the counted triangles can be triangles: near them, with unit normals."""
     with np.errstate(all="ignore"):
         corners = more["corners"].astype(np.float64)
         low, high = known["corners"].min(axis=(0, 1)), known["corners"].max(axis=(0, 1))

@@ -1,4 +1,4 @@
-"""Text files as programs and editors leave them: told from binary, and made plain."""
+"""Text files: detection, encodings, line ends, numbers, and texts of messages."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from meshes.errors import MeshError
 
-_SAMPLE = 4096  # [byte] looked at to tell text from binary
-# What no text has; tab, line ends, form feed and the old end-of-file mark are none of them.
+_SAMPLE = 4096  # [byte] examined to tell text from binary
+# Characters that text never holds; tab, line ends, form feed and Ctrl-Z may occur.
 _CONTROL = bytes(c for c in range(32) if c not in b"\t\n\v\f\r\x1a") + b"\x7f"
 _MARKS = {
     codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it begins with
@@ -50,7 +50,7 @@ def plain(data: bytes) -> bytes | None:
 
 
 def required(data: bytes) -> bytes:
-    """What `plain` makes of it.
+    """As `plain`.
 
     Raises:
         MeshError: it is binary.
@@ -65,10 +65,10 @@ def numbers(text: bytes, what: str) -> NDArray[np.float64]:
     """All numbers of a text with white space between them.
 
     Raises:
-        MeshError: a word that is no number; ``what`` says among what.
+        MeshError: a word that is no number; ``what`` names the place.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # how numpy tells of unread data
+        warnings.simplefilter("error", DeprecationWarning)  # numpy's report of unread data
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ") if text.strip() else np.empty(0)
         except (DeprecationWarning, ValueError):
@@ -82,20 +82,20 @@ def number(word: bytes, what: str) -> float:
     """One number.
 
     Raises:
-        MeshError: it is none; ``what`` says among what.
+        MeshError: it is none; ``what`` names the place.
     """
     try:
         return float(word)
     except ValueError:
         hint = "; a decimal comma is not read" if b"," in word else ""
-        raise MeshError(f"{what}: {shown(word)} is not a number{hint}") from None
+        raise MeshError(f"{what}: {quoted(word)} is not a number{hint}") from None
 
 
 def whole(values: NDArray[np.float64], what: str) -> NDArray[np.int64]:
     """Whole numbers that were read as floating point.
 
     Raises:
-        MeshError: one is not whole, or beyond what can be counted.
+        MeshError: one is not whole, or 2⁵³ or more.
     """
     good = np.isfinite(values) & (np.abs(values) < 2.0**53) & (values == np.floor(values))
     if not good.all():
@@ -103,22 +103,22 @@ def whole(values: NDArray[np.float64], what: str) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def shown(word: Any) -> str:
-    """Bytes of a file as they may stand in a message: short, quoted, printable."""
+def quoted(word: Any) -> str:
+    """The first bytes of a file's word or line for a message: quoted, printable."""
     text = bytes(word)[:40].decode("utf-8", "replace").strip()
     return repr(text)
 
 
 def open_end(text: bytes) -> tuple[str, ...]:
-    """A note where the last number of a text may be one that was cut short."""
+    """A note if a text does not end with a line end: its last number may be truncated."""
     if text[-1:] in (b"\n", b"\r", b""):
         return ()
     return ("The file ends within a line: if it was cut off there, its last triangle is wrong.",)
 
 
-def worded(text: str, n: int) -> str:
-    """A text about so many things: ``{n}`` is their number, of ``[one|many]`` the fitting is taken.
+def pluralized(text: str, n: int) -> str:
+    """A text with ``{n}`` replaced by a number, and ``[singular|plural]`` by the form it needs.
 
-    No more braces may be in it, nor square brackets.
+    The text may hold no other braces or square brackets.
     """
     return re.sub(r"\[([^|]*)\|([^]]*)\]", r"\1" if n == 1 else r"\2", text).format(n=f"{n:,}")

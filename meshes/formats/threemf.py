@@ -1,7 +1,7 @@
 """Reading 3MF: the meshes, components and build items of its model parts.
 
-An own reader on the standard library: a 3MF may place one object a billion times through nested
-components, or unpack to any size, and has to be counted before it is built.
+An own reader on the standard library: nested components can place an object any number of times,
+and data can decompress to any size, so both are counted before anything is built.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.builtin.shapes import Arrays
-from meshes.content import Content, check_placed, check_unpacked, checked
+from meshes.content import Content, check_placed, check_unpacked, checked, moved
 from meshes.errors import MeshError
 from meshes.formats import text, xmlfile
 
 MOST_BODIES = 100_000
 DEPTH = 32  # of components in components
 
-# The standard's units in ours; what we have no name for is scaled to millimetres.
+# The standard's units in those of `meshes.UNITS`, with a factor.
 _UNITS = {
     "micron": ("mm", 1e-3),
     "millimeter": ("mm", 1.0),
@@ -33,7 +33,7 @@ _UNITS = {
     "foot": ("in", 12.0),
     "meter": ("m", 1.0),
 }
-# Extensions that may be required and leave the triangles as they are: looks, parts, names.
+# Required extensions that do not change the triangles.
 _HARMLESS = ("/material/", "/production/", "/trianglesets/", "/securecontent/", "/core/")
 Matrix = NDArray[np.float64]
 Key = tuple[str, str]  # model part, object id
@@ -41,7 +41,7 @@ Key = tuple[str, str]  # model part, object id
 
 @dataclass
 class _Model:
-    """All objects of an archive's parts read so far, and how they are put together."""
+    """The objects of an archive's parts, their components, and the build items."""
 
     meshes: dict[Key, Arrays] = field(default_factory=dict)
     components: dict[Key, list[tuple[Key, Matrix]]] = field(default_factory=dict)
@@ -76,7 +76,7 @@ def read(data: bytes) -> Content:
 
 
 def _model(data: bytes) -> _Model:
-    """Everything in the archive's model parts."""
+    """The archive's model parts."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         parts = {
             "/" + info.filename.lstrip("/"): info
@@ -90,8 +90,7 @@ def _model(data: bytes) -> _Model:
         check_unpacked(size, len(data))
         model = _Model()
         for name in (root, *(name for name in parts if name != root)):
-            # So many and no more, so that the sum above holds: without a number the reader unpacks
-            # what there is and only then looks at what the directory says.
+            # The size limits the read: without it, zipfile decompresses everything.
             with archive.open(parts[name]) as stream:
                 content = stream.read(parts[name].file_size)
             try:
@@ -137,7 +136,7 @@ def _parse(content: bytes, part: str, model: _Model, root: bool) -> None:
 
 
 def _check_extensions(attributes: dict[str, str]) -> None:
-    """Refuse what a model requires and is not understood, such as implicit surfaces."""
+    """Raise `MeshError` for a required extension that is not supported."""
     for prefix in attributes.get("requiredextensions", "").split():
         name = attributes.get(f"xmlns:{prefix}", prefix)
         if not any(part in name for part in _HARMLESS):
@@ -154,7 +153,7 @@ def _numbers(rows: Sequence[tuple[str, ...]]) -> NDArray[np.float64]:
 
 
 def _reference(attributes: dict[str, str], part: str) -> tuple[Key, Matrix]:
-    """The object that a component or item names, maybe in another part, and its transform."""
+    """The object of a component or item, also in another part, and its transform."""
     path = next((v for k, v in attributes.items() if k.rpartition(":")[2] == "path"), part)
     T = np.eye(4)
     if "transform" in attributes:
@@ -169,7 +168,7 @@ def _reference(attributes: dict[str, str], part: str) -> tuple[Key, Matrix]:
 def _cost(
     model: _Model, key: Key, depth: int, known: dict[Key, tuple[int, int]]
 ) -> tuple[int, int]:
-    """Triangles and bodies that placing an object once makes, without placing it."""
+    """Numbers of triangles and bodies of one placed object."""
     if key not in known:
         if depth == 0:
             raise MeshError(f"components nested deeper than {DEPTH}, or in a circle")
@@ -177,18 +176,13 @@ def _cost(
             raise MeshError(f"object {key[1][:40]!r} is referred to, but not in the file")
         inner = [_cost(model, part, depth - 1, known) for part, _ in model.components.get(key, [])]
         own = len(model.meshes[key][1]) if key in model.meshes else 0
-        # An object with nothing in it, placed often, costs time as well.
+        # Empty objects count as bodies: placing them takes time too.
         known[key] = own + sum(a for a, _ in inner), 1 + sum(b for _, b in inner)
     return known[key]
 
 
 def _place(model: _Model, key: Key, T: Matrix, bodies: list[Arrays]) -> None:
     if key in model.meshes:
-        vertices, faces = model.meshes[key]
-        if not np.array_equal(T, np.eye(4)):  # moving by nothing would still round
-            vertices = vertices @ T[:3, :3].T + T[:3, 3]
-            if np.linalg.det(T[:3, :3]) < 0:  # a mirror turns the winding inside out
-                faces = faces[:, ::-1]
-        bodies.append((vertices, faces))
+        bodies.append(moved(*model.meshes[key], T))
     for part, T_key_part in model.components.get(key, []):
         _place(model, part, T @ T_key_part, bodies)

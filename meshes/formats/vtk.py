@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, checked, cut_off
+from meshes.content import Content, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.polygons import strips, triangles, unpacked
+from meshes.polygons import NO_LISTS, Lists, body, unpacked
 
 _TYPES = {
     "char": "i1", "signed_char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2",
@@ -21,7 +21,6 @@ _TYPES = {
 }  # fmt: skip
 _CELLS = ("vertices", "lines", "polygons", "triangle_strips")
 _END = ("point_data", "cell_data")
-Cells = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 def read(data: bytes) -> Content:
@@ -32,7 +31,7 @@ def read(data: bytes) -> Content:
     """
     file = _File(data)
     points: NDArray[np.float64] | None = None
-    cells: dict[str, Cells] = {}
+    cells: dict[str, Lists] = {}
     space = frames.in_text(file.title)
     while words := file.line():
         kind = words[0].lower().decode("latin-1")
@@ -49,20 +48,15 @@ def read(data: bytes) -> Content:
         elif kind in _END:
             break
         else:
-            raise MeshError(f"{text.shown(b' '.join(words))} is not understood")
+            raise MeshError(f"{text.quoted(b' '.join(words))} is not understood")
     if points is None:
         raise cut_off("points")
-    checked(points, np.empty((0, 3), dtype=np.int64))
-    none = np.empty(0, dtype=np.int64)
-    faces = [triangles(points, *cells.get("polygons", (none, none)))]
-    flat, counts = cells.get("triangle_strips", (none, none))
-    if len(counts):
-        faces.append(strips(np.insert(flat, np.cumsum(counts)[:-1], -1)))
-    return Content([checked(points, np.vstack(faces))], None, space, file.notes())
+    polygons, strips = (cells.get(kind, NO_LISTS) for kind in ("polygons", "triangle_strips"))
+    return Content([body(points, polygons, strips)], None, space, file.notes())
 
 
 class _File:
-    """A place in the file, and the numbers that follow it."""
+    """The file's data and the position of the reader."""
 
     def __init__(self, data: bytes) -> None:
         lines = re.match(
@@ -85,25 +79,30 @@ class _File:
             self._place = 0
 
     def line(self) -> list[bytes]:
-        """The words of the next line that has any; none at the end."""
-        while self._place < len(self._data):
-            end = self._data.find(b"\n", self._place)
-            end = len(self._data) if end < 0 else end
-            words = self._data[self._place : end].split()
-            self._place = end + 1
+        """The words of the next line that is not blank; [] at the end of the file."""
+        while (words := self._next_line()) is not None:
             if words:
                 return words
         return []
 
+    def _next_line(self) -> list[bytes] | None:
+        if self._place >= len(self._data):
+            return None
+        end = self._data.find(b"\n", self._place)
+        end = len(self._data) if end < 0 else end
+        words = self._data[self._place : end].split()
+        self._place = end + 1
+        return words
+
     def count(self, words: list[bytes], k: int) -> int:
         if len(words) <= k or not words[k].isdigit() or len(words[k]) > 18:
-            raise MeshError(f"{text.shown(b' '.join(words))}: a count is missing: damaged")
+            raise MeshError(f"{text.quoted(b' '.join(words))}: a count is missing: damaged")
         return int(words[k])
 
     def type(self, words: list[bytes], k: int) -> str:
         name = words[k].decode("latin-1").lower() if len(words) > k else ""
         if name not in _TYPES:
-            raise MeshError(f"{text.shown(b' '.join(words))}: unknown type of numbers")
+            raise MeshError(f"{text.quoted(b' '.join(words))}: unknown type of numbers")
         return _TYPES[name]
 
     def numbers(self, count: int, kind: str, what: str) -> NDArray[np.generic]:
@@ -131,7 +130,7 @@ class _File:
         self._place = stop
         return values
 
-    def cells(self, words: list[bytes], kind: str) -> Cells:
+    def cells(self, words: list[bytes], kind: str) -> Lists:
         count, size = self.count(words, 1), self.count(words, 2)
         if not self._offsets:
             flat = self._whole(self.numbers(size, "i4", kind), kind)
@@ -159,7 +158,7 @@ class _File:
         return values.astype(np.int64)
 
     def field(self, arrays: int) -> str | None:
-        """Pass by the arrays of field data; the frame, where one of them is called SPACE."""
+        """Skip the arrays of field data; return the frame if one is called SPACE."""
         space = None
         for _ in range(arrays):
             words = self.line()
@@ -191,16 +190,11 @@ class _File:
         return self._data[self._place - length : self._place]
 
     def skip_metadata(self) -> None:
-        """Pass by lines until an empty one."""
-        while self._place < len(self._data):
-            end = self._data.find(b"\n", self._place)
-            end = len(self._data) if end < 0 else end
-            empty = not self._data[self._place : end].strip()
-            self._place = end + 1
-            if empty:
-                return
+        """Skip all lines up to and including the next blank one."""
+        while self._next_line():
+            pass
 
     def notes(self) -> tuple[str, ...]:
-        """A note where a text ends with its last corner."""
+        """A note where a text ends with its last number."""
         at_end = self._text and not self._data[self._place :].strip()
         return text.open_end(self._data) if at_end else ()

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.content import Content, check_unpacked, checked, cut_off
+from meshes.content import Content, check_unpacked, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text, xmlfile
 from meshes.packed import base64_bytes, inflated
-from meshes.polygons import strips, triangles
+from meshes.polygons import Lists, body
 
 _TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4",
@@ -49,13 +49,7 @@ def read(data: bytes) -> Content:
     for piece in file.pieces:
         points = file.array(piece, "Points", "", 3 * _count(piece, "NumberOfPoints"))
         vertices = points.astype(np.float64).reshape(-1, 3)
-        checked(vertices, np.empty((0, 3), dtype=np.int64))
-        polygons = file.cells(piece, "Polys")
-        faces = [triangles(vertices, *polygons)]
-        flat, counts = file.cells(piece, "Strips")
-        if len(counts):
-            faces.append(strips(np.insert(flat, np.cumsum(counts)[:-1], -1)))
-        bodies.append(checked(vertices, np.vstack(faces)))
+        bodies.append(body(vertices, file.cells(piece, "Polys"), file.cells(piece, "Strips")))
     return Content(bodies, None, file.frame())
 
 
@@ -67,7 +61,7 @@ def _count(piece: _Piece, name: str) -> int:
 
 
 class _File:
-    """The elements of a VTP file, and the numbers they stand for."""
+    """The elements of a VTP file, and their numbers."""
 
     def __init__(self, data: bytes) -> None:
         self.pieces: list[_Piece] = []
@@ -77,7 +71,7 @@ class _File:
         self._open: _Array | None = None
         self._size = len(data)
         self._unpacked = 0
-        # Raw bytes are no XML: they are cut out before it is parsed.
+        # Raw bytes are not XML: they are removed before it is parsed.
         start = re.search(rb"<AppendedData[^>]*>\s*_", data)
         self._appended = b""
         self._raw = False
@@ -139,7 +133,7 @@ class _File:
             raise cut_off(f"{count:,} numbers in {part} {name}".rstrip(), f"{len(values):,}")
         return values[:count]
 
-    def cells(self, piece: _Piece, part: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def cells(self, piece: _Piece, part: str) -> Lists:
         """Corners of a piece's polygons or strips, and how many each has."""
         count = _count(piece, f"NumberOf{part}")
         ends = self.array(piece, part, "offsets", count).astype(np.int64)
@@ -151,7 +145,7 @@ class _File:
         return self.array(piece, part, "connectivity", int(ends[-1])).astype(np.int64), counts
 
     def frame(self) -> str | None:
-        """What the field data "SPACE" says, as 3D Slicer writes it."""
+        """The frame in the field data "SPACE", as 3D Slicer writes it."""
         if "SPACE" not in self._field:
             return None
         letters = self._numbers(self._field["SPACE"], "SPACE").astype(np.int64)
@@ -178,7 +172,7 @@ class _File:
         return np.frombuffer(content, dtype, count=len(content) // dtype.itemsize)
 
     def _binary(self, source: bytes, offset: int, what: str, raw: bool) -> bytes:
-        """The bytes of an array: a head of sizes, then one block, or packed ones."""
+        """The bytes of an array: a header of sizes, then one plain or several compressed blocks."""
         if not raw and offset == 0 and source and source is not self._appended:
             source = b"".join(source.split())
 
@@ -196,7 +190,7 @@ class _File:
 
         word = self._word.itemsize
         if not self._packed:
-            # Head and data may be encoded as one, or one by one.
+            # Header and data may be encoded together or separately.
             apart = raw or source[offset : offset + width(word)].endswith(b"=")
             size = int(np.frombuffer(piece(offset, word), self._word)[0])
             self._add(size)
@@ -222,6 +216,6 @@ class _File:
         )
 
     def _add(self, size: int) -> None:
-        """Count what is unpacked, or taken from the same place again, and refuse too much."""
+        """Check the sum of all array sizes; several arrays may use the same data."""
         self._unpacked += size
         check_unpacked(self._unpacked, self._size)

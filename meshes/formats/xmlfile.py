@@ -1,4 +1,4 @@
-"""XML of mesh files, event by event: no tree is built, no entity expanded, nothing else opened."""
+"""XML of mesh files by events, without a tree, entities or external files."""
 
 from __future__ import annotations
 

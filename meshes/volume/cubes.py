@@ -1,16 +1,15 @@
-"""Marching cubes whose surfaces are closed on any values: the triangles of one cell, as a table.
+"""Marching cubes with closed surfaces for any values: the triangles of one cell.
 
 A cell is a cube of eight voxels, corner ``c`` at ``x + 2y + 4z``; its twelve edges are
 ``3 * lower corner + axis``. On every face of the cell the crossed edges are joined by segments.
-Where two inside corners lie on a diagonal of a face and two outside corners on the other, the
-inside ones are joined through the face: walls one voxel thick that run obliquely have no slits
-then. The segments close to loops, which are triangulated.
+Where two inside corners lie on one diagonal of a face and two outside corners on the other, the
+inside ones are joined: oblique walls one voxel thick then have no slits. The segments close to
+loops, which are triangulated.
 
-Why the whole is closed and manifold: what happens on a face depends on its four signs alone, so
-the two cells of a face have the same segments there, walked once each way. Diagonals of the
-triangulation never join two edges of one face, so none of them lies in a neighbour cell too.
-scikit-image's marching cubes decides such faces cell by cell within a tolerance instead; on label
-maps at half a level its surfaces have holes.
+The surface is closed and manifold: the segments on a face depend on its four signs alone, so its
+two cells have the same ones, in opposite directions; diagonals of the triangulation never join two
+edges of one face, so none lies in a neighbour cell too. scikit-image's marching cubes decides
+ambiguous faces per cell within a tolerance; its surfaces of label maps have holes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""DICOM series: a folder of slices, or one enhanced multi-frame file; LPS turned to RAS."""
+"""DICOM series: a folder of slices, or one enhanced multi-frame file; LPS becomes RAS."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from meshes.errors import MeshError
 from meshes.volume.grid import LPS_TO_RAS, Stored, check_size, library, one_of
 from meshes.volume.stack import Slice, stacked
 
-# How the files of a series are named: IM0001, 1.2.840.113619.2, slice.dcm, head.CT.12.IMA.
+# Names such as IM0001, 1.2.840.113619.2, slice.dcm, head.CT.12.IMA.
 _SLICE_NAME = re.compile(r"(^[^.]+$|\.(dcm|dicom|dic|ima|img|\d+)$)", re.IGNORECASE)
 SUFFIXES = (".dcm", ".dicom", ".ima")
 _OTHERS = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"%PDF", b"PK\3\4", b"\x1f\x8b", b"BM")
@@ -28,14 +28,14 @@ _IN_SPACE = (0x00209057, 0x00200032)  # InStackPositionNumber, ImagePositionPati
 
 @dataclass(frozen=True)
 class _Frame:
-    """A slice, the data set and frame it is in, and how its pixels become values."""
+    """A slice, its data set and frame, and the rescaling of its pixels."""
 
     slice: Slice
     dataset: Any
     frame: int
     slope: float
     intercept: float
-    group: tuple[int, ...] = ()  # time point, echo and so on, of which a file may hold several
+    group: tuple[int, ...] = ()  # time point, echo and so on
 
 
 def is_dicom(start: bytes) -> bool:
@@ -52,8 +52,8 @@ def read(path: Path, volume: int | None) -> Stored:
     """
     library("pydicom")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of small offences against the standard
-        # Decoders fill up what a cut-off picture lacks.
+        warnings.simplefilter("ignore")  # of minor violations of the standard
+        # Decoders only warn of a truncated image and fill it up.
         warnings.filterwarnings("error", message="End of file reached")
         files = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
         datasets = [(file.name, found) for file in files if (found := _dataset(file)) is not None]
@@ -79,7 +79,7 @@ def read(path: Path, volume: int | None) -> Stored:
 
 
 def _dataset(file: Path) -> Any:
-    """A data set, or None for what is no DICOM file and does not look like a damaged one."""
+    """A data set, or None for a file that is neither DICOM nor named as a slice."""
     pydicom = library("pydicom")
     with open(file, "rb") as stream:
         start = stream.read(4096)
@@ -89,11 +89,11 @@ def _dataset(file: Path) -> Any:
         raise MeshError(f"{file.name} is damaged: it does not begin as a DICOM file")
     try:
         dataset = pydicom.dcmread(file, force=not is_dicom(start))
-    # Whatever a damaged file makes the reader raise, the file is what is wrong.
+    # Any exception of the reader is caused by a damaged file.
     except Exception as error:
         raise MeshError(f"{file.name} is damaged: it is not DICOM to its end") from error
     kind = _kind(dataset)
-    # The number of its class, where it is none that has a name, or the first digits of one.
+    # A class without a name, or with a truncated number.
     if kind.startswith(_STANDARD) or _STANDARD.startswith(kind):
         raise MeshError(f"{file.name} is damaged in its header, or of an unknown class {kind!r}")
     if "TransferSyntaxUID" not in dataset.file_meta:  # old files without a preamble
@@ -110,7 +110,7 @@ def _dataset(file: Path) -> Any:
 
 
 def _other(start: bytes) -> bool:
-    """Text, a picture, a document: no slice."""
+    """Whether a file begins as text, an image or a document."""
     if start.startswith(_OTHERS):
         return True
     printable = set(start) - set(range(32)) | {9, 10, 13}
@@ -120,7 +120,7 @@ def _other(start: bytes) -> bool:
 def _images(
     datasets: list[tuple[str, Any]], path: Path
 ) -> tuple[list[tuple[str, Any]], tuple[str, ...]]:
-    """Those that are slices of the one series."""
+    """The slices of the one series, and notes."""
     slices, left, other = [], 0, 0
     for name, one in datasets:
         kind = _kind(one)
@@ -171,7 +171,7 @@ def _kind(dataset: Any) -> str:
 
 
 def _fewer(datasets: list[tuple[str, Any]], count: int) -> tuple[str, ...]:
-    """What the series says about its size, where that is more than what is here."""
+    """A note where the series gives a larger number of images than there are."""
     first = datasets[0][1]
     said = first.get("ImagesInAcquisition") or first.get("NumberOfSlices")
     if isinstance(said, int) and said > count and len(datasets) == count:
@@ -196,7 +196,7 @@ def _frames(name: str, dataset: Any) -> Iterator[_Frame]:
     count = int(dataset.get("NumberOfFrames") or 1)
     if len(own) != count:
         raise MeshError(f"{name} promises {count} frames and describes {len(own)}")
-    # A frame's numbers along the file's dimensions, those in space left out.
+    # The file's dimensions other than those in space.
     dimensions = [
         n
         for n, one in enumerate(dataset.get("DimensionIndexSequence") or ())
@@ -273,7 +273,7 @@ def _values(frames: list[_Frame]) -> np.ndarray:
                     k = places[number]
                     values[k] = plane * np.float64(frames[k].slope) + frames[k].intercept
                     done += 1
-        # Whatever damaged pixels make the decoders raise, the pixels are what is wrong.
+        # Any exception of the decoders is caused by damaged pixels.
         except Exception as error:
             raise MeshError(_reason(dataset, frames[members[0]].slice.name)) from error
         if done != len(members):

@@ -25,7 +25,7 @@ def read(
 ) -> Volume:
     """A NIfTI, Analyze, MGH, NRRD or MetaImage file, or DICOM slices (a folder, or one file).
 
-    What should be known about the result (`Volume.notes`) is also warned of.
+    `Volume.notes` are also issued as warnings.
 
     Args:
         volume: which one of a file with several, such as a time series; from 0.
@@ -45,7 +45,7 @@ def read(
         raise MeshError(f"{file}: {printable(str(error))}") from None
     except OSError as error:
         raise MeshError(f"{file}: cannot be read ({error.strerror or error})") from None
-    # Whatever else a damaged header makes the readers raise, the header is what is wrong.
+    # Any other exception of the readers is caused by a damaged header.
     except Exception as error:
         raise MeshError(f"{file}: is damaged: its header makes no sense") from error
     for note in found.notes:

@@ -1,8 +1,9 @@
-"""What reading a volume gives: values on a grid, where the grid lies, and what is to be told."""
+"""Volumes: values on a grid, its pose, and the checks that all readers share."""
 
 from __future__ import annotations
 
 import importlib
+import math
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -15,8 +16,8 @@ from meshes.errors import MeshError
 FloatArray = NDArray[np.float64]
 
 MOST_VOXELS = 400_000_000
-MOST_BYTES = 4_000_000_000  # of voxels in one file, inflated
-SLAB = 2_000_000  # voxels looked at together
+MOST_BYTES = 4_000_000_000  # of voxels in one file, uncompressed
+SLAB = 2_000_000  # voxels processed at a time
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 GUESS = (
     "{} does not say how the patient lies in it: left and right are a guess, "
@@ -29,15 +30,14 @@ class Volume:
     """A scalar field on a grid.
 
     Attributes:
-        values: ``(i, j, k)`` real numbers, as the file holds them: whole numbers stay whole, what
-            the file scales becomes float32. NaN is outside of everything, infinities are what they
-            say.
+        values: ``(i, j, k)``, of the file's integer type, or float32 where the file scales them.
+            NaN counts as minus infinity.
         T_world_voxel: ``(4, 4)`` from indices (at voxels' centres) to world coordinates [m].
-        name: for the reader.
-        frame: "RAS", the patient frame of the world coordinates; None where the file does not say
-            how the patient lies, and the axes are a guess.
-        notes: what the user should know about how it was read, a sentence each.
-        names: names of labels, where the file gives them.
+        name: of the file.
+        frame: "RAS", the patient frame of the world coordinates; None where the file does not give
+            it and the axes are a guess.
+        notes: for the user, a sentence each.
+        names: names of labels, if the file gives them.
     """
 
     values: NDArray[Any]
@@ -50,7 +50,7 @@ class Volume:
 
 @dataclass(frozen=True)
 class Stored:
-    """What a reader of one format found: as a `Volume`, but in millimetres and not checked."""
+    """The result of a format's reader: a `Volume` in millimetres, not checked."""
 
     values: NDArray[Any]
     T_world_voxel_mm: FloatArray
@@ -61,7 +61,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Extent:
-    """What values a volume has.
+    """The range of a volume's values.
 
     Attributes:
         low, high: the least and the greatest finite value.
@@ -78,12 +78,12 @@ class Extent:
 
 
 def planes_at_once(values: NDArray[Any]) -> int:
-    """So many of its first index are some `SLAB` voxels."""
+    """The number of planes of the first index that hold about `SLAB` voxels."""
     return max(1, SLAB // (values.shape[1] * values.shape[2]))
 
 
 def extent(values: NDArray[Any]) -> Extent:
-    """What values a volume ``(i, j, k)`` has."""
+    """The range of values ``(i, j, k)``."""
     low, high, count, below, above = np.inf, -np.inf, 0, False, False
     step = values.shape[0] if values.dtype.kind != "f" else planes_at_once(values)
     for first in range(0, values.shape[0], step):
@@ -102,13 +102,13 @@ def checked(stored: Stored, name: str) -> Volume:
     """A volume in metres.
 
     Raises:
-        MeshError: not three dimensions of two voxels and more, or a grid without volume.
+        MeshError: not three dimensions of two or more voxels, or a degenerate grid.
     """
     values = stored.values
     check_size(values.shape)
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
     if values.dtype.kind == "f":
-        with np.errstate(over="ignore"):  # beyond single precision: infinite, and so it counts
+        with np.errstate(over="ignore"):  # beyond single precision: infinite
             values = values.astype(np.float32, copy=False)
     T = np.array(stored.T_world_voxel_mm, dtype=np.float64)
     T[:3] *= 1e-3  # [mm] -> [m]
@@ -124,16 +124,12 @@ def checked(stored: Stored, name: str) -> Volume:
 
 
 def check_size(shape: tuple[int, ...]) -> None:
-    """Refuse what is no volume, or too large a one, before its values are read.
-
-    Raises:
-        MeshError: in one line.
-    """
+    """Raise `MeshError` for a shape that is no volume, or too large a one."""
     if len(shape) != 3 or min(shape) < 2:
         raise MeshError(
             f"its size is {_times(shape)} voxels, not a volume of two and more in each direction"
         )
-    count = int(np.prod(np.array(shape, dtype=object)))
+    count = math.prod(shape)
     if count > MOST_VOXELS:
         raise MeshError(
             f"its {_times(shape)} are {count:,} voxels, more than the {MOST_VOXELS:,} allowed"
@@ -144,7 +140,7 @@ def scaled(values: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]
     """``slope * values + intercept``: the values themselves for 1 and 0, float32 otherwise.
 
     Raises:
-        MeshError: a slope or intercept that cannot be.
+        MeshError: a slope or intercept that is not finite, or a slope of zero.
     """
     if (slope, intercept) == (1.0, 0.0):
         return values
@@ -157,10 +153,10 @@ def scaled(values: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]
 
 
 def one_of(count: int, chosen: int | None, what: str) -> int:
-    """Which of several volumes in a file is meant.
+    """The index of the volume to read from a file with ``count`` of them.
 
     Raises:
-        MeshError: none chosen where there are several, or one that is not there.
+        MeshError: none chosen of several, or out of range.
     """
     if chosen is None and count == 1:
         return 0
@@ -188,7 +184,7 @@ def library(name: str) -> ModuleType:
 
 
 def printable(text: str) -> str:
-    """A text out of a file, on one line and without what would steer a terminal."""
+    """A text from a file with its control characters replaced by blanks."""
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 

@@ -1,4 +1,4 @@
-"""Label maps: volumes whose whole numbers name structures."""
+"""Label maps: volumes of integers that stand for structures."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from meshes.errors import MeshError
 from meshes.volume.grid import Volume, extent, planes_at_once
 
 MIDDLE = 0.5  # the level at which `one_label` has its surface
-_MOST_LABELS = 500  # a volume of more different values is taken for an image
-_MOST_TOLD = 20
+_MOST_LABELS = 500  # a volume of more different values is an image
+_MOST_LISTED = 20
 
 
 def one_label(volume: Volume, label: int) -> Volume:
@@ -25,12 +25,12 @@ def one_label(volume: Volume, label: int) -> Volume:
     """
     inside = volume.values == label
     if not inside.any():
-        raise MeshError(f"{volume.name}: no voxel has label {label}: {told(volume)}")
+        raise MeshError(f"{volume.name}: no voxel has label {label}: {describe_values(volume)}")
     return replace(volume, values=inside.view(np.uint8))
 
 
-def told(volume: Volume) -> str:
-    """The range of a volume's values, and the labels that they may be: names, numbers of voxels."""
+def describe_values(volume: Volume) -> str:
+    """The range of a volume's values, and its labels with names and numbers of voxels, as text."""
     values, known = volume.values, extent(volume.values)
     if known.count == 0:
         return "no voxel has a finite value"
@@ -43,8 +43,8 @@ def told(volume: Volume) -> str:
     for label in sorted(counts):
         name = f" {names[label]}" if label in names else ""
         parts.append(f"{label}{name} ({counts[label]:,} voxels)")
-    more = f" and {len(parts) - _MOST_TOLD} more" if len(parts) > _MOST_TOLD else ""
-    return f"{text}; as labels: {', '.join(parts[:_MOST_TOLD]) or 'none'}{more}"
+    more = f" and {len(parts) - _MOST_LISTED} more" if len(parts) > _MOST_LISTED else ""
+    return f"{text}; as labels: {', '.join(parts[:_MOST_LISTED]) or 'none'}{more}"
 
 
 def _counts(values: NDArray[Any]) -> Counter[int] | None:
@@ -53,7 +53,7 @@ def _counts(values: NDArray[Any]) -> Counter[int] | None:
     step = planes_at_once(values)
     for first in range(0, values.shape[0], step):
         part = values[first : first + step].ravel()
-        # Whole numbers may stand in floating point: some programs write nothing else.
+        # Some programs write labels as floating-point numbers.
         if part.dtype.kind == "f" and (part != np.floor(part)).any():
             return None
         if part.dtype.itemsize <= 2 and part.dtype.kind in "iu":  # much quicker than sorting

@@ -1,18 +1,20 @@
 """MetaImage volumes of ITK: .mha, and .mhd with a data file beside it.
 
-Read here: the library that reads it, SimpleITK, is large, and its header is a list of lines.
+An own reader: SimpleITK, which reads it, is a large dependency.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from meshes.errors import MeshError
 from meshes.volume.grid import GUESS, LPS_TO_RAS, Stored, one_of
-from meshes.volume.payload import voxels, written_out
+from meshes.volume.payload import beside, required, text_voxels, voxels
 
 _MOST_HEADER = 1 << 20  # [bytes]
 _TYPES = {
@@ -39,14 +41,14 @@ def is_metaimage(start: bytes) -> bool:
 
 
 def read(file: Path, volume: int | None) -> Stored:
-    """A MetaImage; its coordinates are LPS, as ITK writes them, and are turned to RAS.
+    """A MetaImage; its coordinates are LPS and become RAS.
 
     Raises:
         MeshError: in one line.
     """
     fields, start = _header(file)
-    sizes = [int(word) for word in _needed(fields, "dimsize").split()]
-    dimension = int(_needed(fields, "ndims"))
+    sizes = [int(word) for word in required(fields, "dimsize").split()]
+    dimension = int(required(fields, "ndims"))
     if len(sizes) != dimension or dimension not in (3, 4):
         raise MeshError(
             f"its size is {' × '.join(map(str, sizes))} in {dimension} dimensions: "
@@ -59,7 +61,7 @@ def read(file: Path, volume: int | None) -> Stored:
         raise MeshError("it is a colour image (red, green, blue): a level needs one value a voxel")
     if channels > 1 and series > 1:
         raise MeshError(f"it is a series of {series} volumes with {channels} values a voxel")
-    element = _needed(fields, "elementtype").upper().removeprefix("MET_").removesuffix("_ARRAY")
+    element = required(fields, "elementtype").upper().removeprefix("MET_").removesuffix("_ARRAY")
     if element not in _TYPES:
         raise MeshError(f"its values are of type {element!r}: choose one of {', '.join(_TYPES)}")
     order = ">" if _yes(fields, "binarydatabyteordermsb", "elementbyteordermsb") else "<"
@@ -69,32 +71,28 @@ def read(file: Path, volume: int | None) -> Stored:
     data, start = _data(file, fields, start)
     skip = int(fields.get("headersize", "0"))
     packed = "gzip" if _yes(fields, "compresseddata") else ""
-    promised = int(np.prod(np.array(sizes, dtype=object))) * channels * dtype.itemsize
+    promised = math.prod(sizes) * channels * dtype.itemsize
+    which: dict[str, Any] = {"volumes": count, "volume": chosen, "interleaved": channels > 1}
     if skip == -1:
         start = max(start, data.stat().st_size - promised)
     else:
         start += max(skip, 0)
     if fields.get("binarydata", "true").lower() in ("false", "0"):
-        flat = written_out(data, start, dtype, shape, count)
-        parts = flat.reshape(-1, count).T if channels > 1 else flat.reshape(count, -1)
-        values = parts[chosen].reshape(shape, order="F")
+        values = text_voxels(data, start, dtype, shape, **which)
     else:
-        values = voxels(
-            data, start, dtype, shape, packed=packed, volumes=count, volume=chosen,
-            interleaved=channels > 1,
-        )  # fmt: skip
+        values = voxels(data, start, dtype, shape, packed=packed, **which)
     T = np.eye(4)
     directions = next((fields[name] for name in _DIRECTIONS if name in fields), "")
     if directions:
         axes = np.array(_numbers(directions, dimension * dimension)).reshape(dimension, dimension)
-        T[:3, :3] = axes[:3, :3].T  # one axis after the other
+        T[:3, :3] = axes[:3, :3].T  # stored axis by axis
     spacing = fields.get("elementspacing", fields.get("elementsize", ""))
     notes = () if spacing else ("the file does not say how large its voxels are: 1 mm is taken",)
     if spacing:
         T[:3, :3] *= _numbers(spacing, dimension)[:3]
     if origin := next((fields[name] for name in _ORIGINS if name in fields), ""):
         T[:3, 3] = _numbers(origin, dimension)[:3]
-    # RAI: the axes run from right, anterior and inferior, which is what LPS coordinates do.
+    # RAI: the axes run from right, anterior and inferior, as in LPS.
     known = directions or fields.get("anatomicalorientation", "").upper() == "RAI"
     if not known:
         notes = (*notes, GUESS.format("the file"))
@@ -102,7 +100,7 @@ def read(file: Path, volume: int | None) -> Stored:
 
 
 def _header(file: Path) -> tuple[dict[str, str], int]:
-    """Names in lower case with their texts, and where the header ends."""
+    """Fields by name in lower case, and the header's length."""
     with open(file, "rb") as stream:
         text = stream.read(_MOST_HEADER)
     last = re.search(rb"^[ \t]*ElementDataFile[ \t]*=[^\n]*(\n|\Z)", text, re.M | re.I)
@@ -117,17 +115,7 @@ def _data(file: Path, fields: dict[str, str], start: int) -> tuple[Path, int]:
     name = fields["elementdatafile"]
     if name.upper() == "LOCAL":
         return file, start
-    if name.split()[:1] == ["LIST"] or "%" in name:
-        raise MeshError("its voxels are in several files: save it as one .mha file")
-    if not name or not (file.parent / name).is_file():
-        raise MeshError(f"its voxels are in {name!r}, which is not beside it")
-    return file.parent / name, 0
-
-
-def _needed(fields: dict[str, str], name: str) -> str:
-    if not fields.get(name):
-        raise MeshError(f"its header has no {name!r}")
-    return fields[name]
+    return beside(file, name), 0
 
 
 def _yes(fields: dict[str, str], *names: str) -> bool:

@@ -1,4 +1,4 @@
-"""NIfTI, Analyze and FreeSurfer MGH volumes: nibabel reads their headers, `payload` the voxels."""
+"""NIfTI, Analyze and FreeSurfer MGH volumes; nibabel parses the headers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from meshes.volume.payload import compression, head, voxels
 
 _SINGLE = (b"n+1\0", b"n+2\0")
 _PAIR = (b"ni1\0", b"ni2\0")
-_MM = {"meter": 1e3, "micron": 1e-3}  # "unknown" is millimetres in practice
+_MM = {"meter": 1e3, "micron": 1e-3}  # others, "unknown" included: millimetres
 _MGH_DATA = 284  # offset of the voxels
 
 
@@ -23,7 +23,7 @@ def is_nifti(start: bytes) -> bool:
 
 
 def is_mgh(start: bytes) -> bool:
-    """Whether the first bytes are those of FreeSurfer's MGH: version 1, and sizes that can be."""
+    """Whether the first bytes are those of FreeSurfer's MGH: version 1 and positive sizes."""
     sizes = np.frombuffer(start[4:20].ljust(16, b"\0"), dtype=">i4")
     return start[:4] == b"\0\0\0\1" and bool((sizes > 0).all())
 
@@ -63,16 +63,16 @@ def read(file: Path, volume: int | None) -> Stored:
     single = magic in _SINGLE
     offset = int(header.get_data_offset())
     if offset < (len(start[:540]) if second else 348) * single:
-        offset = 544 if second else 352  # zero in some files, meaning: after the header
+        offset = 544 if second else 352  # zero in some files: directly after the header
     if image == headers and not single:
         raise MeshError("its voxels are in another file (.img), which is not beside it")
     values = voxels(
         image,
-        0 if compression(image) else offset,
+        0,
         dtype,
         shape[:3],
         packed=compression(image),
-        inner=offset if compression(image) else 0,
+        skip=offset,
         volumes=volumes,
         volume=one_of(volumes, volume, "volumes"),
     )
@@ -107,14 +107,13 @@ def read_mgh(file: Path, volume: int | None) -> Stored:
     except KeyError:
         raise MeshError(f"its header names data of type {int(header['type'])}") from None
     shape = tuple(int(size) for size in header["dims"])
-    packed = compression(file)
     values = voxels(
         file,
-        0 if packed else _MGH_DATA,
+        0,
         dtype.newbyteorder(">"),
         shape[:3],
-        packed=packed,
-        inner=_MGH_DATA if packed else 0,
+        packed=compression(file),
+        skip=_MGH_DATA,
         volumes=_volumes(shape),
         volume=one_of(_volumes(shape), volume, "volumes"),
     )

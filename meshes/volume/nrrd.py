@@ -1,19 +1,20 @@
 """NRRD volumes (.nrrd, .nhdr with a data file beside it) and 3D Slicer's segmentations in them.
 
-Read here rather than with pynrrd, whose reader inflates without bound and drops letters that are
-not ASCII from segments' names; the voxels' part is shared with the other formats.
+An own reader: pynrrd decompresses without a limit and drops non-ASCII letters of segment names.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from meshes.errors import MeshError
 from meshes.volume.grid import GUESS, FloatArray, Stored, one_of, printable
-from meshes.volume.payload import voxels, written_out
+from meshes.volume.payload import beside, required, text_voxels, voxels
 
 _MOST_HEADER = 4 << 20  # [bytes]
 _TYPES = {
@@ -56,8 +57,8 @@ def read(file: Path, volume: int | None) -> Stored:
         MeshError: in one line.
     """
     fields, keys, start = _header(file)
-    sizes = [int(size) for size in _needed(fields, "sizes").split()]
-    kind = _needed(fields, "type").lower()
+    sizes = [int(size) for size in required(fields, "sizes").split()]
+    kind = required(fields, "type").lower()
     if kind not in _CODES:
         raise MeshError(f"its values are of type {kind!r}: choose a number")
     directions = _directions(fields, len(sizes))
@@ -85,23 +86,19 @@ def read(file: Path, volume: int | None) -> Stored:
         dtype = dtype.newbyteorder("<" if order == "little" else ">")
     shape = (sizes[axes[0]], sizes[axes[1]], sizes[axes[2]])
     first = bool(others) and place < axes[0]
+    which: dict[str, Any] = {"volumes": volumes, "volume": chosen, "interleaved": first}
     encoding = fields["encoding"].lower()
     skip = int(fields.get("byteskip", 0))
     if skip < -1 or (skip == -1 and encoding != "raw"):
         raise MeshError(f"its voxels, encoded as {encoding}, cannot begin at byte {skip}")
     if encoding in _TEXT:
-        flat = written_out(data, start + skip, dtype, shape, volumes)
-        values = (flat.reshape(-1, volumes).T if first else flat.reshape(volumes, -1))[chosen]
-        values = values.reshape(shape, order="F")
+        values = text_voxels(data, start + skip, dtype, shape, **which)
     else:
         packed = _PACKED[encoding]
         if skip == -1:  # at the end of the file
-            promised = int(np.prod(np.array(sizes, dtype=object))) * dtype.itemsize
+            promised = math.prod(sizes) * dtype.itemsize
             start, skip = max(start, data.stat().st_size - promised), 0
-        values = voxels(
-            data, start if packed else start + skip, dtype, shape, packed=packed,
-            inner=skip if packed else 0, volumes=volumes, volume=chosen, interleaved=first,
-        )  # fmt: skip
+        values = voxels(data, start, dtype, shape, packed=packed, skip=skip, **which)
     T, notes = _placed(fields, directions, axes)
     space = fields.get("space", "").strip().lower()
     if not (space in _SIGNS or space in _NO_PATIENT or space.endswith(_TIME)):
@@ -114,7 +111,7 @@ def read(file: Path, volume: int | None) -> Stored:
 
 
 def _header(file: Path) -> tuple[dict[str, str], dict[str, str], int]:
-    """Fields (lower case, without spaces) and keys with their texts, and where the header ends."""
+    """Fields (lower case, without spaces), keys, and the header's length."""
     with open(file, "rb") as stream:
         text = stream.read(_MOST_HEADER)
     end = re.search(rb"\r?\n\r?\n", text)
@@ -133,25 +130,15 @@ def _header(file: Path) -> tuple[dict[str, str], dict[str, str], int]:
     return fields, keys, end.end() if end else len(text)
 
 
-def _needed(fields: dict[str, str], name: str) -> str:
-    if not fields.get(name):
-        raise MeshError(f"its header has no field {name!r}")
-    return fields[name]
-
-
 def _data(file: Path, fields: dict[str, str], start: int) -> tuple[Path, int]:
-    """The file with the voxels, and where they begin in it, bytes to skip not counted."""
-    encoding = _needed(fields, "encoding").lower()
+    """The file with the voxels, and their offset before ``byteskip``."""
+    encoding = required(fields, "encoding").lower()
     if encoding not in (*_PACKED, *_TEXT):
         choices = ", ".join((*_PACKED, *_TEXT))
         raise MeshError(f"its voxels are encoded as {encoding!r}: choose one of {choices}")
     data = file
     if name := fields.get("datafile"):
-        if name.split()[0] == "LIST" or "%" in name:
-            raise MeshError("its voxels are in several files: save it as one .nrrd file")
-        data, start = file.parent / name, 0
-        if not data.is_file():
-            raise MeshError(f"its voxels are in {name!r}, which is not beside it")
+        data, start = beside(file, name), 0
     if lines := int(fields.get("lineskip", 0)):
         with open(data, "rb") as stream:
             stream.seek(start)
@@ -190,7 +177,7 @@ def _space_axes(
         found = [axis for axis, kind in enumerate(kinds) if kind in _SPACE_KINDS]
         if len(found) == 3:
             return found
-    return [0, 1, 2][: len(sizes)]  # a series comes last where nothing says otherwise
+    return [0, 1, 2][: len(sizes)]  # by default a series is the last axis
 
 
 def _placed(
@@ -217,7 +204,7 @@ def _placed(
 
 
 def _names(keys: dict[str, str], layer: int) -> tuple[tuple[int, str], ...]:
-    """The labels of a layer of a segmentation of 3D Slicer, with their names."""
+    """Labels and names of a layer of a 3D Slicer segmentation."""
     found = []
     for key, value in keys.items():
         if match := re.fullmatch(r"(Segment\d+)_LabelValue", key):

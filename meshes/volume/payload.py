@@ -1,8 +1,9 @@
-"""The voxels of a file as it stores them: raw or compressed, one volume of several, counted."""
+"""The voxels of a file: raw, compressed or text, one volume of several."""
 
 from __future__ import annotations
 
 import bz2
+import math
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,30 +16,30 @@ from meshes.errors import MeshError
 from meshes.volume.grid import MOST_BYTES, check_size
 
 _CHUNK = 1 << 20
-_MOST_AFTER = 16 << 20  # bytes after the voxels that are looked through for the checksum
+_MOST_AFTER = 16 << 20  # [byte] decompressed after the voxels at most, to reach the checksum
 _MAGIC = {"gzip": b"\x1f\x8b", "bzip2": b"BZh"}
 
 
 def compression(file: Path) -> str:
-    """ "gzip" or "", by the file's first bytes: names do not always tell."""
+    """ "gzip" or "", by the file's first bytes."""
     with open(file, "rb") as stream:
         return "gzip" if stream.read(2) == _MAGIC["gzip"] else ""
 
 
 def head(file: Path, length: int) -> bytes:
-    """The first bytes of a file, inflated if it is gzipped: ``length`` or fewer."""
+    """The first ``length`` bytes of a file or fewer, decompressed if it is gzipped."""
     found = b""
-    for piece in pieces(file, 0, compression(file)):
+    for piece in chunks(file, 0, compression(file)):
         found += piece
         if len(found) >= length:
             break
     return found[:length]
 
 
-def pieces(file: Path, start: int, packed: str) -> Iterator[bytes]:
-    """The bytes from ``start`` on, inflated, at most a megabyte at once.
+def chunks(file: Path, start: int, packed: str) -> Iterator[bytes]:
+    """The bytes from ``start`` on, decompressed, at most 1 MiB at a time.
 
-    ``packed`` is "" (as they stand), "gzip" (zlib is told from it by its first bytes) or "bzip2".
+    ``packed`` is "", "gzip" (zlib data is recognised) or "bzip2".
 
     Raises:
         MeshError: the compressed bytes are damaged or end early.
@@ -62,7 +63,7 @@ def pieces(file: Path, start: int, packed: str) -> Iterator[bytes]:
                     yield piece
             except (zlib.error, OSError, EOFError):
                 raise MeshError("what is compressed in it is damaged") from None
-            # Another part may follow, or bytes that are none of it.
+            # Another member may follow, or other bytes.
             rest = engine.unused_data + stream.read(_CHUNK)
             if not rest.startswith(magic):
                 return
@@ -97,7 +98,7 @@ def voxels(
     shape: tuple[int, ...],
     *,
     packed: str = "",
-    inner: int = 0,
+    skip: int = 0,
     volumes: int = 1,
     volume: int = 0,
     interleaved: bool = False,
@@ -105,43 +106,45 @@ def voxels(
     """One volume ``shape`` of three dimensions, first index fastest in the file.
 
     Args:
-        start: offset in the file of the voxels, or of what is compressed.
-        inner: offset of the voxels in what is inflated.
-        volumes, volume: how many the file promises, and which one is wanted.
-        interleaved: the volumes' values stand together at each voxel, not one volume after another.
+        start: offset [byte] of the stored data in the file.
+        skip: bytes before the voxels in that data, once it is inflated.
+        volumes, volume: their number in the file, and the index of the one to read.
+        interleaved: the volumes' values follow each other at each voxel.
 
     Raises:
         MeshError: too large, damaged, or fewer bytes than promised.
     """
     check_size(shape)
-    each = int(np.prod(np.array(shape, dtype=object))) * dtype.itemsize
+    if not packed:
+        start, skip = start + skip, 0
+    each = math.prod(shape) * dtype.itemsize
     promised = each * volumes
     if promised > MOST_BYTES:
         raise MeshError(
             f"its header promises {promised / 1e9:,.1f} GB of voxels, "
             f"more than the {MOST_BYTES / 1e9:g} GB allowed"
         )
-    if min(start, inner) < 0 or start > file.stat().st_size:
-        raise MeshError(f"its header puts its voxels at byte {start + inner:,}, which is not there")
+    if min(start, skip) < 0 or start > file.stat().st_size:
+        raise MeshError(f"its header puts its voxels at byte {start + skip:,}, which is not there")
     first, length = (0, promised) if interleaved else (volume * each, each)
-    first += inner
+    first += skip
     found = np.empty(length, dtype=np.uint8)
-    end = inner + promised
+    end = skip + promised
     position = 0
-    for piece in pieces(file, start, packed):
+    for piece in chunks(file, start, packed):
         low, high = max(position, first), min(position + len(piece), first + length)
         if low < high:
             found[low - first : high - first] = np.frombuffer(
                 piece, np.uint8, high - low, low - position
             )
         position += len(piece)
-        # To the end of what is compressed, where its checksum is.
+        # On to the end of the compressed data, where its checksum is.
         if position >= end + (_MOST_AFTER if packed else 0):
             break
     if position < end:
         raise MeshError(
             f"it is cut off: its header promises {promised:,} bytes of voxels, "
-            f"{max(position - inner, 0):,} are there"
+            f"{max(position - skip, 0):,} are there"
         )
     values = found.view(dtype)
     if interleaved:
@@ -149,16 +152,23 @@ def voxels(
     return values.reshape(shape, order="F")
 
 
-def written_out(
-    file: Path, start: int, dtype: np.dtype[Any], shape: tuple[int, ...], volumes: int
+def text_voxels(
+    file: Path,
+    start: int,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    *,
+    volumes: int,
+    volume: int,
+    interleaved: bool,
 ) -> NDArray[Any]:
-    """Numbers in text, ``(volumes, …)`` flat in the file's order.
+    """`voxels` of numbers written as text.
 
     Raises:
         MeshError: too large, not numbers, or fewer than promised.
     """
     check_size(shape)
-    wanted = int(np.prod(np.array(shape, dtype=object))) * volumes
+    wanted = math.prod(shape) * volumes
     with open(file, "rb") as stream:
         stream.seek(start)
         words = stream.read().replace(b",", b" ").split()
@@ -167,6 +177,32 @@ def written_out(
             f"it is cut off: its header promises {wanted:,} values, {len(words):,} are there"
         )
     try:
-        return np.array(words[:wanted], dtype=np.float64).astype(dtype)
+        flat = np.array(words[:wanted], dtype=np.float64).astype(dtype)
     except ValueError as error:
         raise MeshError(f"its voxels are not numbers ({error})") from None
+    table = flat.reshape(-1, volumes).T if interleaved else flat.reshape(volumes, -1)
+    return table[volume].reshape(shape, order="F")
+
+
+def required(fields: dict[str, str], name: str) -> str:
+    """A field of a header.
+
+    Raises:
+        MeshError: it is missing or empty.
+    """
+    if not fields.get(name):
+        raise MeshError(f"its header has no field {name!r}")
+    return fields[name]
+
+
+def beside(file: Path, name: str) -> Path:
+    """The file with the voxels that a header in ``file`` names.
+
+    Raises:
+        MeshError: it names several, or one that is not there.
+    """
+    if name.split()[:1] == ["LIST"] or "%" in name:
+        raise MeshError("its voxels are in several files: save header and voxels as one file")
+    if not name or not (file.parent / name).is_file():
+        raise MeshError(f"its voxels are in {name!r}, which is not beside it")
+    return file.parent / name

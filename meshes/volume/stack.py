@@ -1,4 +1,4 @@
-"""Slices of one series to a regular grid: in order, complete, resampled where spacings differ."""
+"""Slices of one series as a regular grid: sorted, checked, resampled where spacings differ."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from meshes.errors import MeshError
 from meshes.volume.grid import FloatArray
 
-_EVEN = 0.02  # share by which steps may differ and count as equal: positions are rounded
-_ON_GRID = 0.05  # share of the spacing by which a slice may be off a grid
-_ALIGNED = 0.1  # share of a pixel by which a slice may be off sideways
-_GAP = 1.5  # a step of so many times its neighbours' is a gap
+_EVEN = 0.02  # relative tolerance of equal steps: positions are rounded
+_ON_GRID = 0.05  # tolerance of a slice's position on the grid, as a share of the spacing
+_ALIGNED = 0.1  # tolerance of a slice's lateral position, as a share of a pixel
+_GAP = 1.5  # a step of more than this times its neighbours is a gap
 
 
 @dataclass(frozen=True)
 class Slice:
-    """Where a slice lies, in DICOM's patient coordinates (LPS) [mm].
+    """The pose of a slice in DICOM's patient coordinates (LPS) [mm].
 
     Attributes:
         position: ``(3,)`` centre of the first pixel.
@@ -37,14 +37,14 @@ class Slice:
 
 @dataclass(frozen=True)
 class Stack:
-    """Where slices go in a regular grid.
+    """Slices as a regular grid.
 
     Attributes:
         order: indices of the slices along their normal.
         T_lps_voxel: ``(4, 4)`` from (column, row, plane) to LPS [mm].
-        at: ``(planes,)`` for each plane of the grid its place among the ordered slices, a whole
-            number where it is one of them.
-        notes: what is to be told.
+        at: ``(planes,)`` the position of each plane among the ordered slices, not whole where it
+            is interpolated.
+        notes: for the user.
     """
 
     order: list[int]
@@ -54,7 +54,7 @@ class Stack:
 
 
 def stacked(slices: list[Slice]) -> Stack:
-    """The grid of slices, which come in any order.
+    """The grid of slices given in any order.
 
     Raises:
         MeshError: fewer than two, of different size or direction, repeated, missing between others,
@@ -123,7 +123,7 @@ def stacked(slices: list[Slice]) -> Stack:
 
 
 def _refuse_gaps(steps: FloatArray, names: list[str]) -> None:
-    """A change of spacing lasts to an end of the series; a gap lies between steps that agree."""
+    """Raise `MeshError` for a long step between shorter ones; a change of spacing is no gap."""
     begins = np.flatnonzero(np.r_[True, abs(np.diff(steps)) > _EVEN * steps[:-1]])
     ends = np.r_[begins[1:], len(steps)]
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):

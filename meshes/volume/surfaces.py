@@ -1,4 +1,4 @@
-"""The surface where a volume's values pass a level, closed whatever the values are."""
+"""The isosurface of a volume, closed for any values."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from meshes.builtin.shapes import Arrays
 from meshes.checks.topology import topology
+from meshes.content import compact
 from meshes.errors import MeshError
 from meshes.volume.cubes import triangles
 from meshes.volume.grid import FloatArray, Volume, extent, planes_at_once
@@ -18,11 +19,11 @@ from meshes.volume.grid import FloatArray, Volume, extent, planes_at_once
 IntArray = NDArray[np.int64]
 
 MOST_TRIANGLES = 10_000_000
-# Vertices keep this share of the voxels' distance from the voxels: where a value is the level
-# itself, triangles keep an area that single precision can hold.
+# Vertices keep this share of the spacing from the voxels, so that triangles have an area in single
+# precision also where a value equals the level.
 _CLEAR = 1e-3
-_WIDEST = 20  # voxels: the time that a Gaussian takes grows with it
-_LARGEST_VALUE = 1e100  # differences of two values must be finite
+_WIDEST = 20  # [voxel] standard deviation, which the run time grows with
+_LARGEST_VALUE = 1e100  # keeps differences finite
 
 
 def surface(
@@ -35,16 +36,14 @@ def surface(
 ) -> Arrays:
     """The surface where the values pass ``level``: vertices ``(n, 3)`` [m], world, and faces.
 
-    Voxels above the level are inside; those below or at it, and those that are not a number, are
-    outside, and so is everything around the volume. Whatever the values, the surface is closed
-    and manifold (each edge joins two faces, each face has an area) and wound outwards; what
-    reaches the volume's border is cut flat within a voxel of it. Vertices lie where the values
-    between two voxels pass the level linearly, except that they keep a thousandth of the distance
-    from the voxels.
+    Voxels above the level are inside; those at or below it, NaN, and everything around the volume
+    are outside. The surface is closed, manifold and wound outwards for any values, and each face
+    has an area; at the volume's border it is cut flat within a voxel. Vertices are interpolated
+    linearly between two voxels, at least a thousandth of the spacing from each.
 
     Args:
-        smooth: standard deviation of a Gaussian before it [m]; better than decimating after.
-        largest: keep only the piece with the largest bounding box.
+        smooth: standard deviation [m] of a Gaussian filter applied first; 0: none.
+        largest: keep only the component with the largest bounding box.
 
     Raises:
         MeshError: the level lies outside the volume's values, ``smooth`` is more than 20 voxels, or
@@ -70,7 +69,7 @@ def surface(
     say("marching cubes")
     corners: list[IntArray] = []
     count = 0
-    # One voxel of outside all around: indices here are one more than the volume's.
+    # Padded by one voxel of outside: indices are one more than the volume's.
     shape = (values.shape[0] + 2, values.shape[1] + 2, values.shape[2] + 2)
     for start, above in _slabs(values, np.float64(level), outside, within):
         found = _triangles(above, start, shape)
@@ -90,13 +89,11 @@ def surface(
     if largest:
         say("largest piece")
         faces = _largest(vertices, faces)
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces] = True
-    return vertices[used], np.ascontiguousarray((np.cumsum(used) - 1)[faces])
+    return compact(vertices, faces)
 
 
 def _finite(volume: Volume, level: float) -> tuple[NDArray[Any], float, float]:
-    """The values, what counts for NaN, minus infinity and around, and what for infinity."""
+    """The values, the one for NaN, minus infinity and padding, and the one for infinity."""
     values, known = volume.values, extent(volume.values)
     if known.count == 0:
         raise MeshError(f"{volume.name}: no voxel has a finite value")
@@ -110,7 +107,7 @@ def _finite(volume: Volume, level: float) -> tuple[NDArray[Any], float, float]:
             f"{volume.name}: no surface at level {level:g}: "
             f"its values run from {low:g} to {high:g}{not_finite}"
         )
-    # As far on the other side as the nearest known value, where there is none on this one.
+    # Where no finite value is on a side of the level, the nearest one mirrored at the level.
     return (
         values,
         low if low < level else 2.0 * level - high,
@@ -127,7 +124,7 @@ def _replaced(values: NDArray[Any], outside: float, within: float) -> NDArray[An
 def _slabs(
     values: NDArray[Any], level: np.float64, outside: float, within: float
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Heights above the level on a few planes and the next, of the volume and one voxel around."""
+    """Values minus the level of the padded volume, in slabs that share a plane."""
     planes, step = values.shape[0] + 2, planes_at_once(values)
     for start in range(0, planes - 1, step):
         stop = min(start + step + 1, planes)
@@ -140,10 +137,7 @@ def _slabs(
 
 
 def _triangles(above: FloatArray, start: int, shape: tuple[int, int, int]) -> IntArray:
-    """Triangles (n, 3) of the cells between the planes, as numbers of grid edges.
-
-    A grid edge has three times the index of its lower voxel, plus its axis.
-    """
+    """Triangles (n, 3) of a slab, as grid edges: 3 × the index of the lower voxel + the axis."""
     inside = above > 0.0
     n, rows, columns = (size - 1 for size in above.shape)
     signs = np.zeros((n, rows, columns), dtype=np.uint8)
@@ -183,7 +177,7 @@ def _points(
     outside: float,
     within: float,
 ) -> FloatArray:
-    """Where the values pass the level on grid edges, as indices (n, 3) of the volume."""
+    """Vertices (n, 3) on grid edges, in voxel indices of the volume."""
     voxel, axis = np.divmod(edges, 3)
     lower = np.stack(np.unravel_index(voxel, shape), axis=1) - 1  # (n, 3)
     upper = lower + (axis[:, None] == np.arange(3))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from app import session as sessions
-from app.control import desk
+from app.control import order_writer
 from tests.support.headless import Tape
 
 
@@ -21,7 +21,7 @@ def tapes(monkeypatch: pytest.MonkeyPatch) -> list[Tape]:
         made.append(Tape(value))
         return made[-1]
 
-    for module in (desk, sessions):
+    for module in (order_writer, sessions):
         monkeypatch.setattr(module, "Mailbox", recorded)
     return made
 

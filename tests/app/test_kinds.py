@@ -75,8 +75,8 @@ def test_a_field_that_is_not_declared_is_refused() -> None:
     [
         pytest.param(kind, name, value, id=f"{kind.__name__}-{name}-{kinds.shown(value)}")
         for kind in (Options, Waypoint, Scenario, protocol.Trial)
-        for name, told in declared(kind).items()
-        for value in outside(told.kind)
+        for name, entry in declared(kind).items()
+        for value in outside(entry.kind)
     ],
 )
 def test_what_is_outside_a_limit_is_refused_by_name(kind: type, name: str, value: Any) -> None:
@@ -100,8 +100,8 @@ def test_what_is_outside_a_limit_is_refused_by_name(kind: type, name: str, value
 
 
 def test_the_ends_of_every_range_are_in_it() -> None:
-    for told in DECLARED.values():
-        limit = bare(told.kind)
+    for entry in DECLARED.values():
+        limit = bare(entry.kind)
         if isinstance(limit, Number | Whole):
             limit.check("x", limit.low)
             limit.check("x", limit.high)

@@ -86,19 +86,19 @@ def test_one_entry_is_all_that_an_option_takes(tmp_path: Path) -> None:
 def test_what_stands_where_is_as_it_was() -> None:
     """Names in files and on the command line are a promise: they do not follow from a slip."""
     server = {"host", "port", "open", "upload_limit", "record", "scenario"}
-    assert {name for name, told in DECLARED.items() if not told.recorded} == server | {"frame"}
-    shared = {name for name, told in DECLARED.items() if told.shared}
+    assert {name for name, entry in DECLARED.items() if not entry.recorded} == server | {"frame"}
+    shared = {name for name, entry in DECLARED.items() if entry.shared}
     assert set(DECLARED) - shared == server | {"rate", "stale_after"}
     live = {
         name
-        for name, told in DECLARED.items()
-        if told.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
+        for name, entry in DECLARED.items()
+        if entry.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
     }
     assert live == {
         "corridor", "rule", "radius", "standoff", "tip_radius", "scale", "lock_orientation",
         "tip_speed", "force_gain",
     }  # fmt: skip
-    assert all(told.about and told.scope for told in DECLARED.values())
+    assert all(entry.about and entry.scope for entry in DECLARED.values())
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ def same(one: Arrays, other: Arrays) -> bool:
 
 def test_made_once_then_read(folder: Path) -> None:
     make = Maker()
-    get = cache.kept("ring", make)
+    get = cache.cached("ring", make)
     assert same(get(), torus())
     assert same(get(), torus())
     assert make.runs == 1
@@ -49,7 +49,7 @@ def test_made_once_then_read(folder: Path) -> None:
 @pytest.mark.parametrize("damage", ["cut", "flipped", "text", "empty", "other arrays", "bad index"])
 def test_damaged_file_is_made_anew(folder: Path, damage: str) -> None:
     make = Maker()
-    get = cache.kept("ring", make)
+    get = cache.cached("ring", make)
     get()
     file = cache.path("ring")
     sound = file.read_bytes()
@@ -76,7 +76,7 @@ def test_no_pickle_is_ever_opened(folder: Path) -> None:
     make = Maker()
     folder.mkdir(parents=True)
     np.savez(cache.path("ring"), vertices=np.array([{}], dtype=object), faces=np.zeros((1, 3)))
-    assert same(cache.kept("ring", make)(), torus())
+    assert same(cache.cached("ring", make)(), torus())
     assert make.runs == 1
 
 
@@ -84,7 +84,7 @@ def test_unusable_folder_only_costs_time(folder: Path) -> None:
     folder.parent.parent.mkdir(parents=True)
     folder.parent.write_text("a file where the folder should be")
     make = Maker()
-    get = cache.kept("ring", make)
+    get = cache.cached("ring", make)
     assert same(get(), torus())
     assert same(get(), torus())
     assert make.runs == 2
@@ -92,7 +92,7 @@ def test_unusable_folder_only_costs_time(folder: Path) -> None:
 
 def test_a_new_recipe_has_a_new_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make = Maker()
-    get = cache.kept("ring", make)
+    get = cache.cached("ring", make)
     get()
     monkeypatch.setattr(cache, "RECIPES", cache.RECIPES + 1)
     get()
@@ -103,7 +103,7 @@ def test_first_use_is_announced_and_later_ones_are_quick(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make = Maker()
-    entry = Entry("slow", "Slow", cache.kept("slow", make), "here", "none", "Slow.", None, "slow")
+    entry = Entry("slow", "Slow", cache.cached("slow", make), "here", "none", "Slow.", None, "slow")
     monkeypatch.setattr(sys.modules["meshes.load"], "catalogue", lambda: {"slow": entry})
     for uses in (1, 2):
         said: list[str] = []

@@ -363,7 +363,7 @@ def test_every_finding_has_a_meaning_and_json() -> None:
         (np.zeros((3, 3)), [[0.0, 1.0, 2.0]], "float64"),
         (np.zeros((3, 3)), np.empty((0, 3), int), "without faces"),
         (np.zeros((3, 3)), [[0, 1, 7]], "7, of 3"),
-        (np.full((3, 3), np.nan), [[0, 1, 2]], "vertex 0 is not finite"),
+        (np.full((3, 3), np.nan), [[0, 1, 2]], "the first is vertex 0"),
     ],
 )
 def test_no_mesh_no_report(vertices: np.ndarray, faces: object, reason: str) -> None:
@@ -388,20 +388,20 @@ def test_adjacency_of_random_soups_against_a_dictionary(seed: int) -> None:
         for k in range(3):
             table.setdefault(tuple(sorted((face[k], face[(k + 1) % 3]))), []).append(3 * f + k)
     assert t.edges == len(table)
-    assert t.rim_edges == sum(len(h) == 1 for h in table.values())
-    assert t.crowded_edges == sum(len(h) > 2 for h in table.values())
+    assert t.boundary_edges == sum(len(h) == 1 for h in table.values())
+    assert t.non_manifold_edges == sum(len(h) > 2 for h in table.values())
     for halves in table.values():
         for h in halves:
             if len(halves) == 2:
-                assert t.mates[h] == sum(halves) - h
+                assert t.opposite[h] == sum(halves) - h
             else:
-                assert t.mates[h] == (-1 if len(halves) == 1 else -2)
+                assert t.opposite[h] == (-1 if len(halves) == 1 else -2)
     # Every rim edge lies in one loop, and consecutive half-edges of a loop meet.
     rim = [h for halves in table.values() if len(halves) == 1 for h in halves]
-    assert len(set(t.rim.tolist())) == len(t.rim)
-    assert set(rim) <= set(t.rim.tolist())
-    for start, end in zip(t.rim_starts[:-1], t.rim_starts[1:], strict=True):
-        loop = t.rim[start:end]
+    assert len(set(t.boundary.tolist())) == len(t.boundary)
+    assert set(rim) <= set(t.boundary.tolist())
+    for start, end in zip(t.boundary_starts[:-1], t.boundary_starts[1:], strict=True):
+        loop = t.boundary[start:end]
         ends = [
             {int(faces[h // 3, h % 3]), int(faces[h // 3, (h % 3 + 1) % 3])} for h in loop.tolist()
         ]

@@ -29,14 +29,14 @@ def test_no_unit_is_assumed_where_the_other_is_possible_too(across: float) -> No
         warnings.simplefilter("always")
         if in_mm and in_m:
             with pytest.raises(meshes.UnitNeeded) as asked:
-                units.settled("part.stl", across, None)
+                units.resolved_unit("part.stl", across, None)
             assert asked.value.sizes == {"mm": across * 1e-3, "m": across}
         elif in_mm or in_m:
-            assert units.settled("part.stl", across, None) == ("mm" if in_mm else "m")
+            assert units.resolved_unit("part.stl", across, None) == ("mm" if in_mm else "m")
             assert [w.category for w in caught] == [meshes.UnitGuess]
         else:
             with pytest.raises(meshes.MeshError, match=r"0\.1 mm to 10 m is possible"):
-                units.settled("part.stl", across, None)
+                units.resolved_unit("part.stl", across, None)
 
 
 @given(st.floats(-6.0, 6.0).map(lambda power: 10.0**power), st.sampled_from([*meshes.UNITS]))
@@ -45,10 +45,10 @@ def test_what_is_said_is_not_asked_again(across: float, unit: str) -> None:
         warnings.simplefilter("error")
         for given_, said in ((unit, None), (None, unit), (unit, "in")):
             if usable(across * meshes.UNITS[unit]):
-                assert units.settled("part.stl", across, given_, said) == unit
+                assert units.resolved_unit("part.stl", across, given_, said) == unit
             else:
                 with pytest.raises(meshes.MeshError):
-                    units.settled("part.stl", across, given_, said)
+                    units.resolved_unit("part.stl", across, given_, said)
     for name, words in units.choices(across, unit).items():
         assert usable(across * meshes.UNITS[name])
         number, of = re.fullmatch(

@@ -18,7 +18,7 @@ FORMATS = ("stl", "ply", "obj", "off", "glb")
 _SIZE = Whole(128, 10**9)
 _RADIUS = number("radius")
 _SHAPE = "File or catalogue name of the shape; default: an installed bunny, else a built-in shape."
-_BROUGHT = "Unit of the mesh file. The shape is brought to the bunny's size in any case."
+_SCALED = "Unit of the mesh file. The shape is scaled to the bunny's size in any case."
 _MESH = "Catalogue name or file of the mesh; skull-fine has about a million triangles."
 
 
@@ -31,7 +31,7 @@ class Runtime(Checked):
     """The paper's run-time experiment: whole ticks of the PSM over a ladder of mesh sizes."""
 
     mesh: str | None = option(Maybe(File()), None, _SHAPE)
-    unit: str | None = like(Options, "unit", about=_BROUGHT)
+    unit: str | None = like(Options, "unit", about=_SCALED)
     rules: tuple[str, ...] = option(
         Many(OneOf("rule", choices.RULES)), ("certified", "paper"), "Rules to measure."
     )
@@ -45,11 +45,11 @@ class Runtime(Checked):
     )  # fmt: skip
     ticks: int = option(
         Whole(1, 10**7), 2400,
-        "Ticks of each row and pass, 200 for each spot of the route, which has twelve.",
+        "Ticks of each row and pass: 200 for each of the twelve spots of the route.",
     )  # fmt: skip
     passes: int = option(
         Whole(1, 1000), 3,
-        "How often the whole ladder is gone through, so that a change of load meets every row.",
+        "Repetitions of the whole ladder, so that a change of load affects all rows alike.",
     )  # fmt: skip
     budget: float = option(
         Number(1e-3, 3600.0, "s"), 5.0,
@@ -63,13 +63,13 @@ class Peers(Checked):
     """The same queries and problems with other libraries; answers are compared before times."""
 
     mesh: str | None = option(Maybe(File()), None, _SHAPE)
-    unit: str | None = like(Options, "unit", about=_BROUGHT)
+    unit: str | None = like(Options, "unit", about=_SCALED)
     size: int = option(_SIZE, SIZES[-1], "Triangles of the mesh.")
     radii: tuple[float, ...] = option(
         Many(_RADIUS), (5e-3, 2e-3, 1e-3, 5e-4), "Radii of the sphere queries."
     )
     queries: int = option(
-        Whole(1, 10**6), 400, "Points asked about, on and above the surface as a tool meets them."
+        Whole(1, 10**6), 400, "Query points, on and above the surface, from the route of the tool."
     )
     rounds: int = option(
         Whole(1, 1000), 5,
@@ -80,10 +80,10 @@ class Peers(Checked):
 
 @dataclass(frozen=True)
 class Loop(Checked):
-    """The control thread's punctuality with the page open, a browser looking on and work going on.
+    """The control thread's punctuality with the page open in a browser and other load.
 
-    Phases of equal length: idle; dragging (the autopilot); loading another mesh again and again;
-    examining the mesh again and again; a second client joining.
+    Phases of equal length: idle; dragging (the autopilot); loading another mesh repeatedly;
+    examining the mesh repeatedly; a second client that connects and disconnects.
     """
 
     mesh: str | None = option(
@@ -100,14 +100,14 @@ class Loop(Checked):
     radius: float | None = like(Options, "radius", about="Radius of the motion sphere.")
     browser: bool = option(
         Switch(), True,
-        "Whether a headless Chromium looks on (needs Playwright and a Chromium).",
+        "Whether a headless Chromium shows the page (needs Playwright and a Chromium).",
     )  # fmt: skip
     out: pathlib.Path = option(Path(), _OUT, "Folder for loop.json.")
 
 
 @dataclass(frozen=True)
 class View(Checked):
-    """How soon the page shows what a drag did, and how often it is brought up to date."""
+    """Latency from a drag to its display on the page, and the page's update rate."""
 
     mesh: str = option(File(), "skull-fine", _MESH)
     drags: int = option(Whole(1, 100_000), 40, "Drag events to measure.")
@@ -120,25 +120,23 @@ class View(Checked):
 
 @dataclass(frozen=True)
 class Meshes(Checked):
-    """From a file to a guarded mesh, its health report and its repair: seconds for each."""
+    """Time from a mesh file to a fixture, of the health report, and of the repair."""
 
     mesh: str = option(File(), "skull-fine", _MESH)
     unit: str | None = like(Options, "unit", about="Unit of the mesh file.")
     formats: tuple[str, ...] = option(
         Many(OneOf("format", FORMATS)), ("stl", "ply"), "Formats to read the mesh from."
     )
-    passes: int = option(Whole(1, 1000), 3, "How often everything is done; the best counts.")
+    passes: int = option(Whole(1, 1000), 3, "Number of repetitions; the best time counts.")
     out: pathlib.Path = option(Path(), _OUT, "Folder for meshes.json.")
 
 
 @dataclass(frozen=True)
 class Soak(Checked):
-    """An hour of autopilot while a client comes and goes: nothing may grow."""
+    """An hour of autopilot with a client that reconnects: memory and queues must not grow."""
 
     minutes: float = option(Number(1e-3, 10_080.0, "min"), 60.0, "How long.")
-    reconnect: float = option(
-        _SECONDS, 60.0, "How long the client stays before it leaves and comes again [s]."
-    )
+    reconnect: float = option(_SECONDS, 60.0, "Interval at which the client reconnects [s].")
     mesh: str = option(File(), "skull", "Catalogue name or file of the mesh.")
     rate: float = like(Options, "rate")
     out: pathlib.Path = option(Path(), _OUT, "Folder for soak.json.")

@@ -48,7 +48,6 @@ class Calibration:
 
     operator: Operator
     rows: tuple[tuple[str, float, float], ...]
-    evaluations: int
     finished: bool = True
 
 
@@ -140,8 +139,8 @@ def calibrate(
         if not seen:
             raise
         _, found, figures = min(seen, key=lambda one: one[0])
-        return Calibration(found, _rows(figures), len(seen), finished=False)
-    return Calibration(found, _rows(figures), int(fit.nfev))
+        return Calibration(found, _rows(figures), finished=False)
+    return Calibration(found, _rows(figures))
 
 
 def _rows(figures: dict[str, float]) -> tuple[tuple[str, float, float], ...]:

@@ -557,8 +557,8 @@ def test_a_proxy_put_down_by_hand_is_saved_and_found_again_elsewhere() -> None:
         stage(saved, session)
         wait_until(lambda: session.latest().paused)
         assert session.options.rule == "off"
-        wait_until(lambda: session._desk.orders.command.target is not None)
-        again = session._desk.orders.command.target
+        wait_until(lambda: session._writer.orders.command.target is not None)
+        again = session._writer.orders.command.target
         np.testing.assert_allclose(again.homogeneous, before.target.homogeneous, atol=1e-9)
         np.testing.assert_allclose(session.handle.homogeneous, again.homogeneous, atol=1e-9)
 

@@ -39,23 +39,23 @@ def test_a_tool_driven_aside_stops_at_the_width() -> None:
 
 def test_the_width_is_set_clamped_and_switched_off_while_running() -> None:
     session = Session(replace(SKULL, corridor=None))
-    assert len(session._desk.orders.plant.controller.fixtures) == 1
+    assert len(session._writer.orders.plant.controller.fixtures) == 1
     assert session.set(corridor=0.5).corridor == 0.02
     assert session.set(corridor=2e-3).corridor == 2e-3
-    corridor = session._desk.orders.plant.controller.fixtures[1]
+    corridor = session._writer.orders.plant.controller.fixtures[1]
     assert isinstance(corridor, vf.CorridorFixture)
     assert corridor.width == 2e-3
     np.testing.assert_allclose(corridor.direction, [0.0, 0.0, -1.0], atol=0.2)
     assert abs(corridor.direction[0]) < 1e-12  # the sagittal plane
     assert session.set(corridor=None).corridor is None
-    assert len(session._desk.orders.plant.controller.fixtures) == 1
+    assert len(session._writer.orders.plant.controller.fixtures) == 1
 
 
 def test_without_a_path_there_is_no_corridor() -> None:
     options = Options(mesh="cube", robot="point", corridor=1e-3)
     session = Session(options)
     assert any("No path is planned" in note for note in session.scene.notes)
-    assert len(session._desk.orders.plant.controller.fixtures) == 1
+    assert len(session._writer.orders.plant.controller.fixtures) == 1
     with pytest.raises(Refused, match="no path is planned"):
         session.set(corridor=1e-3)
 

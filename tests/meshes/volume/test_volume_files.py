@@ -212,8 +212,8 @@ def test_small_files_that_expand_are_refused_by_their_headers(
             inflated.append(len(piece))
             yield piece
 
-    pieces = payload.pieces
-    monkeypatch.setattr(payload, "pieces", counted)
+    pieces = payload.chunks
+    monkeypatch.setattr(payload, "chunks", counted)
     assert not volume.read(nifti("f.nii.gz", [4, 4, 4])).values.any()
     assert sum(inflated) < 20_000_000
     assert max(inflated) <= 1 << 20
@@ -239,7 +239,7 @@ def test_labels(tmp_path: Path) -> None:
         sides = np.array([mesh.bounds[0] - T[:3, 3], mesh.bounds[1] - T[:3, 3]])
         np.testing.assert_allclose(sides, [[low, 1.5, 1.5], [low + 4, 9.5, 9.5]], atol=1e-9)
     told = "1 Schläfenbein (256 voxels), 7 Nervus facialis (256 voxels)"
-    assert told in volume.told(read)
+    assert told in volume.describe_values(read)
     with pytest.raises(meshes.MeshError) as caught:
         volume.one_label(read, 5)
     assert (
@@ -248,9 +248,9 @@ def test_labels(tmp_path: Path) -> None:
     )
     # The same in floating point, as many programs write it; an image has no labels.
     floating = volume.Volume(labels.astype(np.float32), read.T_world_voxel, "f")
-    assert "1 (256 voxels), 7 (256 voxels)" in volume.told(floating)
+    assert "1 (256 voxels), 7 (256 voxels)" in volume.describe_values(floating)
     image = volume.Volume(labels + np.float32(0.25), read.T_world_voxel, "image")
-    assert volume.told(image) == "its values run from 0.25 to 7.25"
+    assert volume.describe_values(image) == "its values run from 0.25 to 7.25"
 
 
 def test_refusals_name_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

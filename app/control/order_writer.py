@@ -1,4 +1,4 @@
-"""Where the orders to a control loop are written: by one at a time, and not while it is closed."""
+"""Serialises changes of the orders to a control loop."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from app.control.mailbox import Mailbox
 from app.refused import Refused
 
 
-class Desk:
-    """The newest orders, and who may change them. Any thread may call.
+class OrderWriter:
+    """Holds the newest orders and controls their changes. Thread-safe.
 
     Attributes:
-        lock: of the writers; the loop, which reads `inbox`, never takes it.
-        inbox: where the loop finds the orders.
-        orders: the newest.
-        closed: why orders are refused; empty: they are not.
+        lock: of the writers; the loop reads `inbox` without it.
+        inbox: mailbox from which the loop reads the orders.
+        orders: the newest orders.
+        closed: why changes are refused; empty: they are accepted.
     """
 
     def __init__(self, orders: Orders) -> None:
@@ -31,11 +31,11 @@ class Desk:
         self._paused = False  # before it was closed
 
     @contextlib.contextmanager
-    def turn(self) -> Iterator[None]:
-        """The lock, for an order.
+    def exclusive(self) -> Iterator[None]:
+        """Hold the lock for one or more changes.
 
         Raises:
-            Refused: it is closed.
+            Refused: changes are refused, see `closed`.
         """
         with self.lock:
             if self.closed:
@@ -43,19 +43,19 @@ class Desk:
             yield
 
     def write(self, **changes: Any) -> None:
-        """Change the orders; all of it is seen at the same tick."""
+        """Change the orders; all changes take effect at the same tick."""
         with self.lock:
             self.orders = replace(self.orders, **changes)
             self.inbox.put(self.orders)
 
     def close(self, reason: str) -> None:
-        """Stop the ticks, and refuse orders for this reason."""
-        with self.turn():
+        """Pause the loop, and refuse changes for this reason."""
+        with self.exclusive():
             self.closed, self._paused = reason, self.orders.paused
             self.write(paused=True)
 
     def open(self) -> None:
-        """Take orders again, and tick if it did before. Safe to call twice."""
+        """Accept changes again, and resume the loop if it ran before. Safe to call twice."""
         with self.lock:
             if self.closed:
                 self.closed = ""
