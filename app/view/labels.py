@@ -1,8 +1,8 @@
-"""Labels in the scene, placed so that no two overlap in any client's picture.
+"""Labels in the scene, placed so that no two overlap in any client's picture and none is cut off.
 
 A label has one of its corners or edges at its point. Where it would overlap a more important label
-another corner or edge is tried; without room it is hidden. As this depends on the camera, each
-client has its own label nodes.
+or the picture's edge, another corner or edge is tried; without room it is hidden. As this depends
+on the camera, each client has its own label nodes.
 """
 
 from __future__ import annotations
@@ -107,6 +107,9 @@ class Box(NamedTuple):
     bottom: float
 
 
+UNBOUNDED = Box(-np.inf, -np.inf, np.inf, np.inf)
+
+
 class Candidate(NamedTuple):
     """A label to be placed: its point (u, v) and size in the picture [px], preferred anchor."""
 
@@ -162,13 +165,14 @@ class Labels(Part):
             picture = camera.image_width, camera.image_height
             eye = Camera(camera.position, _axes(camera.wxyz), camera.fov, *picture)
             with client.atomic():
-                self._clients[client_id].show(labels, eye)
+                self._clients[client_id].show(labels, eye, Box(0.0, 0.0, *picture))
 
     @contextmanager
     def in_scene(self) -> Iterator[None]:
         """Context in which the shared scene has labels, for a scene file.
 
-        They are placed for the camera of new clients; the clients' own labels do not change.
+        They are placed for the camera of new clients, those outside its picture too, as the file's
+        reader turns the camera; the clients' own labels do not change.
         """
         camera = self._server.initial_camera
         position = np.asarray(camera.position, dtype=np.float64)
@@ -176,7 +180,7 @@ class Labels(Part):
         eye = Camera(position, axes, float(camera.fov), *PICTURE)
         shared = _ClientLabels(self._server.scene, self._labels)
         try:
-            shared.show(self._wanted(), eye)
+            shared.show(self._wanted(), eye, UNBOUNDED)
             yield
         finally:
             shared.remove()
@@ -215,8 +219,8 @@ class _ClientLabels:
             for name, label in self.labels.items()
         }
 
-    def show(self, labels: Texts, eye: Camera) -> None:
-        """Place labels for a camera and draw those with room."""
+    def show(self, labels: Texts, eye: Camera, bounds: Box) -> None:
+        """Place labels for a camera and draw those with room within bounds."""
         now = (labels, eye.position.tobytes(), eye.R.tobytes(), *eye[2:])
         if now == self._last:
             return
@@ -229,7 +233,7 @@ class _ClientLabels:
             if seen:
                 label = self.labels[name]
                 wanted[name] = Candidate(u, v, *size(text, label.scale), label.anchor)
-        self.anchors = arrange(wanted, self.anchors)
+        self.anchors = arrange(wanted, self.anchors, bounds)
         for name, node in self._nodes.items():
             anchor = self.anchors.get(name)
             if anchor is not None:
@@ -244,13 +248,14 @@ class _ClientLabels:
 
 
 def arrange(
-    wanted: Mapping[str, Candidate], last: Mapping[str, Anchor | None]
+    wanted: Mapping[str, Candidate], last: Mapping[str, Anchor | None], bounds: Box
 ) -> dict[str, Anchor | None]:
     """An anchor for each label so that no two overlap; None: no room.
 
     Args:
         wanted: by name, most important first.
         last: the result before.
+        bounds: each label is within them.
     """
     taken: list[Box] = []
     placed: dict[str, Anchor | None] = {}
@@ -259,7 +264,7 @@ def arrange(
         for anchor in choices(label.anchor):
             it = box(label, anchor)
             gap = KEPT_GAP if last.get(name) == anchor else NEW_GAP
-            if not any(_overlap(it, other, gap) for other in taken):
+            if _within(it, bounds) and not any(_overlap(it, other, gap) for other in taken):
                 placed[name] = anchor
                 taken.append(it)
                 break
@@ -321,6 +326,15 @@ def _overlap(a: Box, b: Box, gap: float) -> bool:
         and b.left < a.right + gap
         and a.top < b.bottom + gap
         and b.top < a.bottom + gap
+    )
+
+
+def _within(a: Box, bounds: Box) -> bool:
+    return (
+        bounds.left <= a.left
+        and bounds.top <= a.top
+        and a.right <= bounds.right
+        and a.bottom <= bounds.bottom
     )
 
 

@@ -318,7 +318,7 @@ class MeshTab(Part):
         self._flip.label = "Flip back" if self._session.options.flip else "Flip"
 
     def _progress(self, text: str) -> None:
-        self._set_state(f"⏳ {text} …", palette.BLUE)
+        self._set_state(f"{text} …", palette.BLUE)
 
     def _set_state(self, text: str, color: palette.Rgb = palette.BLACK) -> None:
         # Of fixed height, so that the buttons below keep their place.

@@ -211,7 +211,7 @@ class Panel(Part):
                 hint=DECLARED["lock_orientation"].about,
             )
             self._number("Speed", "tip_speed", 5.0)
-            self._number("Force", "force_gain", 10.0)
+            self._number("Stiffness", "force_gain", 10.0)
         self._bind(self._clutch, lambda value: session.clutch(bool(value)))
         self._bind(self._lock, lambda value: session.set(lock_orientation=bool(value)))
 
@@ -310,7 +310,7 @@ class Panel(Part):
     def _progress(self, text: str) -> None:
         self._scene_note.content = (
             f"<div style='{_NOTE};height:3.9em;color:{palette.css(palette.BLUE)}'>"
-            f"⏳ {html.escape(text)} …</div>"
+            f"{html.escape(text)} …</div>"
         )
 
 

@@ -20,6 +20,7 @@ _NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
 _VALUE = "padding:0;text-align:right;white-space:nowrap"
 _UNIT = "padding:0 0 0 5px;color:var(--vf-faint)"
 _GLOSS = "color:var(--vf-faint);font-size:10.5px"
+_ALARM = f"padding:0 5px;background:{palette.css(palette.ALARM)};color:#fff"
 
 SILENCE = 0.7  # a control loop without new telemetry for longer is reported [s]
 # A watchdog in CSS: each read-out replaces these elements and so restarts their animations. Three
@@ -187,7 +188,7 @@ def _distance_rows(extras: Extras) -> list[str]:
         seen = f"tick {where.crossing.tick:,}"
     if extras.unwatched:
         seen += f"; {extras.unwatched:,} ticks unseen"
-    rows.append(_row(name, seen))
+    rows.append(_row(name, seen, alarm=where.crossing is not None))
     return rows
 
 
@@ -211,7 +212,8 @@ def legend() -> str:
     ]
     rows = "".join(
         "<div style='display:flex;gap:7px;margin-bottom:2px'><span style='flex:none;width:11px;"
-        f"height:11px;margin-top:3px;border-radius:2px;background:{palette.css(color)}'></span>"
+        "height:11px;margin-top:3px;border-radius:2px;border:1px solid var(--vf-faint);"
+        f"background:{palette.css(color)}'></span>"
         f"<span>{text}</span></div>"
         for color, text in signs
     )
@@ -315,12 +317,18 @@ def _section(title: str) -> str:
     return f"<tr><td colspan=3 style='{_HEAD}'>{html.escape(title)}</td></tr>"
 
 
-def _row(name: str, value: str, unit: str = "", gloss: str = "") -> str:
-    """One row. Numbers have a unit, " " for a count; a text without a unit spans two columns."""
+def _row(name: str, value: str, unit: str = "", gloss: str = "", *, alarm: bool = False) -> str:
+    """One row. Numbers have a unit, " " for a count; a text without a unit spans two columns.
+
+    An alarm is white on red, as the banner is, which may be scrolled out of view.
+    """
     if gloss:
         gloss = f" <span style='{_GLOSS}'>{html.escape(gloss)}</span>"
+    text = html.escape(value)
+    if alarm:
+        text = f"<b style='{_ALARM}'>{text}</b>"
     return f"<tr><td style='{_NAME}'>{html.escape(name)}{gloss}</td>" + (
-        f"<td style='{_VALUE}'>{html.escape(value)}</td><td style='{_UNIT}'>{unit}</td></tr>"
+        f"<td style='{_VALUE}'>{text}</td><td style='{_UNIT}'>{unit}</td></tr>"
         if unit
-        else f"<td colspan=2 style='{_VALUE}'>{html.escape(value)}</td></tr>"
+        else f"<td colspan=2 style='{_VALUE}'>{text}</td></tr>"
     )

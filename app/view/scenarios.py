@@ -211,7 +211,7 @@ class ScenarioChoice(Part):
             self._set_text(f"Load shows: {chosen.about}", palette.GREY)
 
     def _progress(self, text: str) -> None:
-        self._set_text(f"⏳ {text} …", palette.BLUE)
+        self._set_text(f"{text} …", palette.BLUE)
 
     def _set_text(self, text: str, color: palette.Rgb) -> None:
         style = f"{_STYLE};color:{palette.css(color)}"

@@ -199,7 +199,7 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
         ("Rule", "off"), ("Mesh", "cube"), ("Robot", "point"), ("Motion sphere", "1 mm"),
         ("Radius [mm]", 1.0), ("Tip radius [mm]", 1.0), ("Standoff [µm]", 500.0),
         ("Autopilot", True), ("Clutch", True), ("Lock orientation", True), ("Scale", 0.5),
-        ("Speed [mm/s]", 5.0), ("Force [N/m]", 5.0), ("Stay by the path", True),
+        ("Speed [mm/s]", 5.0), ("Stiffness [N/m]", 5.0), ("Stay by the path", True),
         ("Freeze and explore", True), ("Examine", True), ("Repair", True), ("Flip", True),
         ("Record", True), ("Loop", "Run"), ("Loop", "Step"), ("Proxy", "Reset"),
         ("Proxy", "Recall to tool"), ("Set-up", "Load"),

@@ -1,4 +1,4 @@
-"""No two labels of the scene overlap: in every view and state of the page, from any side."""
+"""No labels of the scene overlap or are cut off: in every view and state, from any side."""
 
 from __future__ import annotations
 
@@ -66,7 +66,10 @@ def press(session: Session, scale: float = 1.0) -> None:
 
 
 def check(visitor: Visitor) -> list[Drawn]:
-    """Wait until the tab shows what its camera is told to see; no two labels may overlap then."""
+    """Wait until the tab shows what its camera is told to see.
+
+    Then no two labels may overlap and none may be cut off by the picture's edge.
+    """
     eye = visitor.client.camera
 
     def there() -> bool:
@@ -76,10 +79,16 @@ def check(visitor: Visitor) -> list[Drawn]:
         )
 
     wait_until(there, "the tab to look from there")
-    wait_until(lambda: not overlapping(drawn_labels(visitor)[0]), "labels apart", 20.0)
+
+    def placed() -> bool:
+        found, _ = drawn_labels(visitor)
+        return not overlapping(found) and all(label.whole for label in found)
+
+    wait_until(placed, "labels apart and in the picture", 20.0)
     visitor.tab.wait_for_timeout(250)
     found, _ = drawn_labels(visitor)
     assert overlapping(found) == []
+    assert [label.name for label in found if not label.whole] == []
     return found
 
 

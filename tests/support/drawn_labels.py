@@ -65,24 +65,30 @@ DRAWN = """() => {
 
 @dataclass(frozen=True)
 class Drawn:
-    """A label in the window: what node it may be of, and its rectangle [px], y downwards."""
+    """A label in the window: what node it may be of, its rectangle [px], y downwards, and whether
+    all of that is in the picture."""
 
     name: str
     left: float
     top: float
     right: float
     bottom: float
+    whole: bool
 
 
 def drawn_labels(visitor: Visitor) -> tuple[list[Drawn], np.ndarray]:
     """All labels that are drawn in a tab and at least partly inside the picture; and from where
     the picture is taken (3,), scene units."""
     found = visitor.tab.evaluate(DRAWN)
+    width, height = found["width"], found["height"]
     labels = [
-        Drawn(name, left, top, right, bottom)
+        Drawn(
+            name, left, top, right, bottom,
+            whole=left >= 0.0 and top >= 0.0 and right <= width and bottom <= height,
+        )
         for name, (left, top, right, bottom) in found["labels"]
-        if right > 0.0 and bottom > 0.0 and left < found["width"] and top < found["height"]
-    ]
+        if right > 0.0 and bottom > 0.0 and left < width and top < height
+    ]  # fmt: skip
     return labels, np.array(found["eye"])
 
 

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 # In radii of the motion sphere.
 LIFT = 0.008  # offset along the normals, clear of the mesh's own triangles
 DOT = 0.06  # diameter of the closest point's dot
+NAME_SHIFT = 0.3  # of the chosen triangle's name from its closest point, at most
 
 
 class NearDrawing:
@@ -114,16 +115,27 @@ class NearDrawing:
         self._foot.points = to_buffer(np.array([[subject.x, report.point]]))
         self._dot.position = to_view(report.point)
         self._dot.scale = float(to_view(0.5 * DOT * subject.radius))
-        self._name.position = to_view(report.point)
+        self._name.position = to_view(_name_point(explanation, chosen, report.point))
         self._name.text = subject.name(chosen)
         for node in (self._outline, self._foot, self._dot):
             node.visible = True
-        self._name.visible = True
+        self._name.visible = not subject.names  # those have labels of their own
         # In a case of the paper, the closest points of both triangles.
         self._feet.visible = bool(subject.names)
         if subject.names:
             x = np.broadcast_to(subject.x, explanation.points.shape)
             self._feet.points = to_buffer(np.stack([x, explanation.points], axis=1))
+
+
+def _name_point(explanation: vf.Explanation, chosen: int, p_closest: FloatArray) -> FloatArray:
+    """Where a triangle's name is (3,): in the triangle, near its closest point (3,), but not at it.
+
+    At the closest point of a triangle that blocks, the label of its plane takes the room.
+    """
+    surface = explanation.surface
+    shift = surface.vertices[surface.faces[chosen]].mean(axis=0) - p_closest
+    length = max(float(np.linalg.norm(shift)), 1e-12)
+    return np.asarray(p_closest + min(1.0, NAME_SHIFT * explanation.radius / length) * shift)
 
 
 def _lifted(

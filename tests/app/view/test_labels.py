@@ -17,7 +17,7 @@ from PIL import ImageFont
 from app.scene import scene as scenes
 from app.settings import Options
 from app.view import labels
-from app.view.labels import Camera, Candidate, Labels, arrange, box, choices, size
+from app.view.labels import UNBOUNDED, Box, Camera, Candidate, Labels, arrange, box, choices, size
 from app.view.ruler import Rulers
 
 PIXELS = st.floats(-500.0, 2500.0)
@@ -36,6 +36,7 @@ crowded_labels = st.lists(
     ),
     max_size=13,
 )  # fmt: skip
+bounds = st.sampled_from((UNBOUNDED, Box(0.0, 0.0, 1280.0, 720.0), Box(0.0, 0.0, 100.0, 60.0)))
 last_anchors = st.dictionaries(st.integers(0, 12).map(str), st.sampled_from((*ANCHORS, None)))
 
 
@@ -53,32 +54,38 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.maximum(a[0] - b[1], b[0] - a[1]).max())
 
 
-@given(wanted=st.one_of(wanted_labels, crowded_labels), before=last_anchors)
-def test_labels_do_not_overlap_and_yield_only_to_more_important_ones(
-    wanted: list[Candidate], before: dict[str, Any]
+@given(wanted=st.one_of(wanted_labels, crowded_labels), before=last_anchors, bounds=bounds)
+def test_labels_do_not_overlap_and_yield_only_to_more_important_ones_and_the_edge(
+    wanted: list[Candidate], before: dict[str, Any], bounds: Box
 ) -> None:
     named = {str(k): label for k, label in enumerate(wanted)}
-    placed = arrange(named, before)
+    placed = arrange(named, before, bounds)
+
+    def inside(it: np.ndarray) -> bool:
+        return bool((it[0] >= bounds[:2]).all() and (it[1] <= bounds[2:]).all())
+
     assert list(placed) == list(named)
     boxes: list[np.ndarray] = []
     for name, label in named.items():
         anchor = placed[name]
         if anchor is None:
-            # With every anchor it is too close to a more important label.
+            # With every anchor it is too close to a more important label, or cut off.
             for other in ANCHORS:
                 if other == "center-center" != label.anchor:
                     continue  # it would cover its own point
                 it = corners(label, other)
-                assert any(apart(it, b) < labels.NEW_GAP + 1e-9 for b in boxes)
+                assert not inside(it) or any(apart(it, b) < labels.NEW_GAP + 1e-9 for b in boxes)
             continue
         it = corners(label, anchor)
+        assert inside(it)
         assert all(apart(it, b) > labels.KEPT_GAP - 1e-9 for b in boxes)
         boxes.append(it)
-    assert arrange(named, placed) == placed, "the same input gives the same placement"
+    assert arrange(named, placed, bounds) == placed, "the same input gives the same placement"
     for name in list(named)[:1]:
-        assert placed[name] == named[name].anchor, (
-            "the most important label has its preferred anchor"
-        )
+        if inside(corners(named[name], named[name].anchor)):
+            assert placed[name] == named[name].anchor, (
+                "the most important label has its preferred anchor"
+            )
 
 
 def test_a_label_is_placed_by_its_anchor() -> None:
@@ -96,6 +103,19 @@ def test_anchors_are_tried_from_the_preferred_one_over_the_corners() -> None:
     assert choices("top-left")[:4] == ("top-left", "top-right", "bottom-left", "bottom-right")
 
 
+def test_a_label_at_the_edge_of_the_picture_turns_inwards_or_is_hidden() -> None:
+    picture = Box(0.0, 0.0, 200.0, 100.0)
+
+    def placed(u: float, v: float) -> Any:
+        return arrange({"it": Candidate(u, v, 60.0, 16.0, "bottom-left")}, {}, picture)["it"]
+
+    assert placed(100.0, 50.0) == "bottom-left"
+    assert placed(190.0, 50.0) == "bottom-right"
+    assert placed(100.0, 5.0) == "top-left"
+    assert placed(190.0, 5.0) == "top-right"
+    assert placed(-5.0, 50.0) is None
+
+
 def test_a_label_does_not_flicker_while_another_grazes_it() -> None:
     """While the other one oscillates by 2.5 px it changes its anchor once at most."""
     low = Candidate(100.0, 100.0, 60.0, 16.0, "bottom-left")
@@ -104,7 +124,7 @@ def test_a_label_does_not_flicker_while_another_grazes_it() -> None:
     for k in range(40):
         # The lower one's top is at 84 px: gaps of 0.5 px and 3 px in turn.
         high = Candidate(100.0, 83.5 - 2.5 * (k % 2), 60.0, 16.0, "bottom-left")
-        placed = arrange({"high": high, "low": low}, placed)
+        placed = arrange({"high": high, "low": low}, placed, UNBOUNDED)
         seen.append(placed["low"])
     assert sum(a != b for a, b in itertools.pairwise(seen)) <= 1
 

@@ -60,7 +60,8 @@ class Shown:
         extras = readouts.Extras(0, 0.0, joints, where=self.where)
         clutched, options = session.master.clutched, session.options
         self.banner = _text(readouts.banner(telemetry, options, extras, clutched))
-        self.table = _text(readouts.readouts(telemetry, options, extras))
+        self.html = readouts.readouts(telemetry, options, extras)
+        self.table = _text(self.html)
 
     def number(self, row: str) -> float:
         found = re.search(row + r"\s*(-?[\d.]+)mm", self.table)
@@ -120,6 +121,7 @@ def test_free_space_is_reported_as_free(session: Session) -> None:
         assert shown.number("distance to surface") == pytest.approx(8.0, abs=5e-3)
         assert ("Free." in shown.banner) == (rule != "off")
         assert "crossingnone" in shown.table
+        assert "background:rgb(200,0,30)" not in shown.html
 
 
 def test_behind_the_surface_is_never_reported_as_free(session: Session) -> None:
@@ -131,6 +133,9 @@ def test_behind_the_surface_is_never_reported_as_free(session: Session) -> None:
         assert "Free." not in shown.banner
         assert f"Crossed at tick {session.crossing.tick:,}, triangle #" in shown.banner
         assert "(rule off)" in shown.banner
+        assert re.search(
+            rf"background:rgb\(200,0,30\)[^>]*>tick {session.crossing.tick:,}<", shown.html
+        )
         assert "Reset" in shown.banner
         true = 1e3 * distance(session, shown.p_tip)
         assert shown.number("distance to surface") == pytest.approx(true, abs=6e-4)
