@@ -164,9 +164,12 @@ def reduce(  # type: ignore[no-untyped-def]
         else:
             c = (i - m) % n
             sign = 1.0 if i < m + n else -1.0
-            for j in range(n):
-                h = sign if j == c else 0.0
-                for r in range(j):
+            for j in range(c):
+                rows[count, j] = 0.0
+            rows[count, c] = sign * factor[c, c]
+            for j in range(c + 1, n):
+                h = 0.0
+                for r in range(c, j):
                     h -= factor[j, r] * rows[count, r]
                 rows[count, j] = h * factor[j, j]
             bound = lower[c] if sign > 0.0 else -upper[c]
