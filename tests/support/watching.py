@@ -112,10 +112,16 @@ class Visitor:
         return row.first.locator("td").nth(1).inner_text()
 
     def choose(self, control: str, option: str) -> None:
-        """Pick an option of a dropdown in the panel."""
-        self.tab.get_by_role("combobox", name=control, exact=True).click()
+        """Pick an option of a dropdown in the panel, and wait until it has lost the focus.
+
+        It loses it shortly after the click; a key that is pressed before is for its search.
+        """
+        box = self.tab.get_by_role("combobox", name=control, exact=True)
+        box.click()
         self.tab.get_by_role("option", name=option, exact=True).click()
         self.reads(control, option)
+        focused = "box => box === document.activeElement"
+        wait_until(lambda: not box.evaluate(focused), f"{control} to lose the focus", 10.0)
 
     def reads(self, control: str, value: str) -> None:
         """Wait until a dropdown of the panel shows this value.
