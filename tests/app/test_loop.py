@@ -143,12 +143,11 @@ def test_loops_quiet_the_interpreter_until_the_last_is_closed(plant: Plant) -> N
         short = sys.getswitchinterval() <= loops.LONGEST_INTERVAL * (1 + 1e-6)
         return short and gc.get_freeze_count() > frozen
 
+    out = [Mailbox(), Mailbox()]
+    first, second = (
+        ControlLoop(Mailbox(Orders(plant, Command(None, 0))), mailbox, plant.dt) for mailbox in out
+    )
     try:
-        out = [Mailbox(), Mailbox()]
-        first, second = (
-            ControlLoop(Mailbox(Orders(plant, Command(None, 0))), mailbox, plant.dt)
-            for mailbox in out
-        )
         assert not quiet()
         first.start()
         second.start()
@@ -162,6 +161,8 @@ def test_loops_quiet_the_interpreter_until_the_last_is_closed(plant: Plant) -> N
         assert gc.get_freeze_count() == frozen
         assert "control" not in {thread.name for thread in threading.enumerate()}
     finally:
+        first.close()
+        second.close()
         sys.setswitchinterval(before)
 
 
