@@ -1,10 +1,11 @@
-"""What all tests share: how they are spread over two processes."""
+"""What all tests share: how they are spread over two processes, and which are the first to run."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -13,6 +14,33 @@ from xdist.scheduler import LoadScopeScheduling
 # How long an example takes says how busy the machine is.
 hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
+
+
+ROOT = Path(__file__).parents[1]
+# `-m smoke`: a part of every layer, in half a minute. Other files are not even imported for it.
+SMOKE = {
+    ROOT / "tests" / name
+    for name in (
+        "test_examples.py", "test_layers.py", "test_project.py",
+        "vf/test_closest.py", "vf/test_conditions.py", "vf/test_haptics.py", "vf/test_planes.py",
+        "vf/test_qp.py", "vf/test_selftest.py", "vf/test_types.py",
+        "robots/test_psm.py", "meshes/test_formats.py", "meshes/test_units.py",
+        "app/control/test_engine.py", "app/control/test_mailbox.py", "app/test_settings.py",
+        "app/control/test_teleoperation.py",
+    )
+}  # fmt: skip
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    if config.option.markexpr == "smoke" and collection_path.is_file():
+        return collection_path not in SMOKE or None
+    return None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path in SMOKE and item.get_closest_marker("slow") is None:
+            item.add_marker(pytest.mark.smoke)
 
 
 class ByFile(LoadScopeScheduling):

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import vf
+from tests.conftest import SMOKE
 
 ROOT = Path(__file__).parents[1]
 
@@ -28,3 +29,7 @@ def test_hosted_ci_tries_every_python_that_is_supported() -> None:
     (matrix,) = re.findall(r"^ +python: \[(.*)\]$", workflow, re.MULTILINE)
     assert re.findall(r'"([^"]+)"', matrix) == supported
     assert re.search(r"^ +- run: \.ci/run$", workflow, re.MULTILINE)
+
+
+def test_the_tier_of_half_a_minute_names_files_that_are_there() -> None:
+    assert [path for path in SMOKE if not path.is_file()] == []

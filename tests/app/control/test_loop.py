@@ -74,10 +74,10 @@ def test_ticks_that_take_too_long_are_counted_and_never_made_up(plant: Plant) ->
     # Long enough for two summaries of the statistics.
     wait_until(lambda: out.get().stats.overruns >= 60)
     seen = out.get()
+    # Every tick was too long; what is counted since the last summary is not told yet.
     assert seen.stats.overruns <= seen.tick
-    assert seen.stats.overruns >= 60
-    assert seen.stats.tick_median > plant.dt
-    assert seen.stats.tick_worst >= seen.stats.tick_median
+    assert seen.stats.tick_median > 4.0 * plant.dt
+    assert seen.stats.tick_worst > seen.stats.tick_median
     # Quick again: had the loop kept its old grid, it would now tick without any pause to catch up.
     slow.seconds = 0.0
     began = time.perf_counter()
@@ -85,8 +85,13 @@ def test_ticks_that_take_too_long_are_counted_and_never_made_up(plant: Plant) ->
     wait_until(lambda: out.get().tick >= first + 200)
     ticks = out.get().tick - first
     elapsed = time.perf_counter() - began
+    # Of ticks that end in time none is counted: of the next thousand some may be late, not most.
+    second = out.get()
+    wait_until(lambda: out.get().tick >= second.tick + 1000)
     loop.close()
     assert ticks * plant.dt <= elapsed + 3.0 * plant.dt
+    assert out.get().stats.overruns - second.stats.overruns < 700
+    assert out.get().stats.tick_median < plant.dt
 
 
 def test_statuses_are_counted_and_add_up_to_the_ticks(plant: Plant, scene: Scene) -> None:
@@ -106,7 +111,6 @@ def test_statuses_are_counted_and_add_up_to_the_ticks(plant: Plant, scene: Scene
     statuses = [t.step.status for t in out.items if t.step is not None]
     summary = out.get().stats.counts
     assert set(summary) == set(vf.Status)
-    assert summary[vf.Status.HELD] >= 100
     assert Counter(statuses[: sum(summary.values())]) == Counter(summary)
 
 
@@ -129,19 +133,37 @@ def test_a_paused_loop_answers_but_does_not_tick(plant: Plant) -> None:
     loop.close()
 
 
-def test_closing_leaves_the_process_as_it_was(plant: Plant) -> None:
-    interval, frozen = sys.getswitchinterval(), gc.get_freeze_count()
-    inbox = Mailbox(Orders(plant, Command(None, 0)))
-    first = ControlLoop(inbox, Mailbox(), plant.dt)
-    second = ControlLoop(inbox, Mailbox(), plant.dt)
-    first.start()
-    second.start()
-    first.close()
-    first.close()
-    second.close()
-    assert sys.getswitchinterval() == interval
-    assert gc.get_freeze_count() == frozen
-    assert "control" not in {thread.name for thread in threading.enumerate()}
+def test_loops_quiet_the_interpreter_until_the_last_is_closed(plant: Plant) -> None:
+    """Waits for the interpreter are short and old objects are not collected, while loops run."""
+    before, frozen = sys.getswitchinterval(), gc.get_freeze_count()
+    known = 7e-3  # other than what any loop sets, in this test or in one before it [s]
+    sys.setswitchinterval(known)
+
+    def quiet() -> bool:
+        short = sys.getswitchinterval() <= loops.LONGEST_INTERVAL * (1 + 1e-6)
+        return short and gc.get_freeze_count() > frozen
+
+    out = [Mailbox(), Mailbox()]
+    first, second = (
+        ControlLoop(Mailbox(Orders(plant, Command(None, 0))), mailbox, plant.dt) for mailbox in out
+    )
+    try:
+        assert not quiet()
+        first.start()
+        second.start()
+        wait_until(lambda: all(mailbox.get().tick > 0 for mailbox in out))
+        assert quiet()
+        first.close()
+        first.close()
+        assert quiet()
+        second.close()
+        assert sys.getswitchinterval() == pytest.approx(known, abs=2e-6)  # whole microseconds
+        assert gc.get_freeze_count() == frozen
+        assert "control" not in {thread.name for thread in threading.enumerate()}
+    finally:
+        first.close()
+        second.close()
+        sys.setswitchinterval(before)
 
 
 def test_a_loop_that_never_started_closes(plant: Plant) -> None:
