@@ -62,7 +62,8 @@ def reduce(  # type: ignore[no-untyped-def]
                 h += J[r, i] * J[r, j]
             for r in range(j):
                 h -= factor[i, r] * factor[j, r]
-            factor[i, j] = np.sqrt(h) if i == j else h / factor[j, j]
+            # The damping bounds a pivot from below; rounding may not take it to zero or below.
+            factor[i, j] = np.sqrt(max(h, damping)) if i == j else h / factor[j, j]
     for i in range(n):
         h = 0.0
         for r in range(k):
