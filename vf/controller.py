@@ -242,6 +242,7 @@ class Controller:
     solver workspaces, and its arm's).
 
     Raises:
+        ValueError: limits of the arm that are no numbers, or out of range.
         RuntimeError: a kernel gives a wrong answer on this machine, see `warm_up`.
     """
 
@@ -253,6 +254,7 @@ class Controller:
         self.arm = arm
         self.fixtures = tuple(fixtures)
         self.settings = s = settings or Settings()
+        _check_limits(arm)
         n = len(arm.lower)
         self._shape = (n,)
         chain = getattr(arm, "chain", None)
@@ -268,7 +270,11 @@ class Controller:
         # A joint of an arm that does not say what it is counts as revolute: that bends more.
         table[layout.TURNS] = getattr(arm, "revolute", np.ones(n))
         # Whether a fixture promises anything of the tip's path, and not only of where it ends.
-        guarded = bool((block.searches[:, layout.KIND] != layout.GIVEN).any())
+        guarded = any(
+            getattr(fixture, "search", None) is not None
+            or (fixture.certified and not isinstance(fixture, MeshFixture))
+            for fixture in self.fixtures
+        )
         asked = [f.radius for f in self.fixtures if f.radius is not None]
         # The ball searched is larger than the motion sphere by what the path of a step at full
         # speed leaves its chord; a step that bends more is shortened.
@@ -360,11 +366,11 @@ class Controller:
                 return self._refused(np.full(self._shape, nan), started)
             if q.shape != self._shape:
                 return self._refused(q, started)
-        if not isinstance(target, pin.SE3):
-            usable = float(np.abs(q).sum()) <= problem.JOINT_RANGE
-            return self._refused(q, started, self.arm.tip(q) if usable else None)
         block = self._block
-        goal = target.homogeneous
+        try:
+            goal = target.homogeneous if isinstance(target, pin.SE3) else _NO_POSE
+        except Exception:  # a class of somebody's own, or one without its beginning
+            goal = _NO_POSE
         m = self._tick(block.address, q, goal, layout.BEGIN)
         while m < 0:
             if m <= -layout.NO_TARGET:
@@ -440,6 +446,7 @@ class Controller:
 
     def _refused(self, q: FloatArray, started: float, T: pin.SE3 | None = None) -> Step:
         usable = T is not None
+        q = q.copy()  # the caller's, who may write to it again
         if T is None and self._sent is not None:
             q, T = self._sent.q, pin.SE3(self._sent.tip)
         zero = np.zeros(3)
@@ -456,6 +463,22 @@ class Controller:
         if usable:
             self._sent = step
         return step
+
+
+def _check_limits(arm: Kinematics) -> None:
+    """ValueError unless all limits are finite, with lower ≤ upper and speeds above zero."""
+    lower, upper, speed = (np.asarray(v, float) for v in (arm.lower, arm.upper, arm.velocity))
+    most = problem.JOINT_RANGE
+    if not ((-most <= lower) & (lower <= upper) & (upper <= most)).all():
+        raise ValueError(
+            f"an arm's position limits must be numbers within ±{most:g} rad or m, lower ≤ upper,"
+            f" got {lower} and {upper}"
+        )
+    if not ((speed > 0.0) & (speed <= most)).all():
+        raise ValueError(
+            f"an arm's speed limits must be above zero and at most {most:g} rad/s or m/s, got"
+            f" {speed}: a joint that is not to move is no joint"
+        )
 
 
 def _read_only(array: Any) -> Any:
@@ -476,5 +499,6 @@ class _Compiled:
 
 _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
+_NO_POSE = np.full((4, 4), nan)
 _RECORD = 8 * layout.PLANE  # bytes
 _new_step = object.__new__

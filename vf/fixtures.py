@@ -28,7 +28,9 @@ class Fixture(Protocol):
     """
 
     radius: float | None  # of the motion sphere [m]; None: as far as the arm can go in a tick
-    certified: bool  # whether a verified step provably stays on its side
+    # Whether a verified step provably stays on its side. The tip's path then keeps to the floors of
+    # the planes, where they have any, and to their radius.
+    certified: bool
 
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool

@@ -113,7 +113,8 @@ def reduce(  # type: ignore[no-untyped-def]
         h = factor[i, i]
         for r in range(i):
             h -= factor[i, r] * factor[i, r]
-        factor[i, i] = 1.0 / np.sqrt(h)
+        # The damping bounds a pivot from below; rounding may not take it to zero or below.
+        factor[i, i] = 1.0 / np.sqrt(max(h, damping))
         h = best[i]
         for r in range(i):
             h -= factor[i, r] * best[r]

@@ -147,6 +147,7 @@ from vf.layout import (
     WITHIN,
     WORDS,
 )
+from vf.planes import LARGEST
 from vf.problem import (
     JOINT_RANGE,
     desired_step,
@@ -215,6 +216,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
     jacobians = numba.carray(floats_at(words[JACOBIANS]), (points, 3, n))
     if phase == PLACED:
         numbers[MARKS] = now()
+        if words[LINKS] == 0 and not _placed(start, J):
+            return -NO_JOINTS
         if not usable(goal):
             return -NO_TARGET
         for k in range(3):
@@ -333,6 +336,18 @@ def _place(words, q, pose):  # type: ignore[no-untyped-def]
     chain = numba.carray(floats_at(words[CHAIN]), (words[LINKS], LINK))
     axes = numba.carray(floats_at(words[AXES]), (words[LINKS], 6))
     tip_pose(chain, q, pose, axes)
+
+
+@njit(cache=True)
+def _placed(start, J):  # type: ignore[no-untyped-def]
+    """Whether an arm that answers itself said where its tip (3, 4) is and how it moves (6, n)."""
+    total = 0.0
+    for k in range(3):
+        if not abs(start[k, 3]) <= LARGEST:
+            return False
+        for j in range(J.shape[1]):
+            total += abs(J[k, j]) + abs(J[3 + k, j])
+    return total <= LARGEST
 
 
 @njit(cache=True)
