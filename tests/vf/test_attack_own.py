@@ -149,8 +149,8 @@ def test_what_an_own_fixture_says_of_paths_holds_on_the_path(name: str) -> None:
     for seed in range(2):
         rng = np.random.default_rng(seed)
         turn = pin.exp3(rng.normal(size=3) * 2.0)
-        plate = np.array([[-0.1, -0.1, 0.0], [0.2, -0.1, 0.0], [-0.1, 0.2, 0.0]])
-        plates = np.array([plate + [0.0, 0.0, z] for z in (-3e-5, 3e-5)])
+        plate = np.array([[-0.1, -0.1, 3e-5], [0.2, -0.1, 3e-5], [-0.1, 0.2, 3e-5]])
+        plates = np.array([plate, plate * [1.0, 1.0, -1.0]])
         triangles = plates @ turn.T + T.translation
         fixture = vf.MeshFixture(exact.soup(triangles), radius=None)
         controller = vf.Controller(arm, [Wrapped(fixture)], vf.Settings(dt=0.05))
