@@ -10,7 +10,7 @@ from app import interrupts
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line (default: `sys.argv`); returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
-    interrupts.arm()
+    interrupts.install()
     try:
         from app.cli import run
 
@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
         return interrupts.exit_code(stop)
     finally:
         if arguments is None:
-            interrupts.disarm()
+            interrupts.uninstall()
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import sys
 
 from app.choices import check_mesh
 from app.commands import COMMANDS, answer, call, listing, one_of
-from app.console import closing, prepare
+from app.console import flushed_output, prepare
 from app.options import parse_as
 from app.scenarios.file import Scenario
 from app.scenarios.presets import find
@@ -37,7 +37,7 @@ def run(words: list[str]) -> int:
     """
     prepare()
     program = "vf-sandbox"
-    with closing():
+    with flushed_output():
         try:
             if words and not words[0].startswith("-"):
                 program = f"vf-sandbox {words[0]}"

@@ -43,7 +43,7 @@ def _to_ascii(error: UnicodeError) -> tuple[str, int]:
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        raise BrokenPipeError  # handled by `closing`, which covers `print` too
+        raise BrokenPipeError  # handled by `flushed_output`, which covers `print` too
 
 
 def console(stderr: bool = False, soft_wrap: bool = False) -> Console:
@@ -136,7 +136,7 @@ def _width(out: Console, column: Column, cells: Sequence[str]) -> int:
 
 
 @contextlib.contextmanager
-def closing() -> Iterator[None]:
+def flushed_output() -> Iterator[None]:
     """Flush the output at the end; a closed pipe (`… | head`) is no error.
 
     Raises:

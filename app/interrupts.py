@@ -76,7 +76,7 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM, which ends a command as Ctrl-C does."""
 
 
-def arm() -> None:
+def install() -> None:
     """From now on SIGINT and SIGTERM raise a `KeyboardInterrupt` in the main thread.
 
     A signal during uninterruptible code (imports, LLVM) is raised again after it, and so is one
@@ -91,7 +91,7 @@ def arm() -> None:
     sys.unraisablehook = _on_unraisable
 
 
-def disarm() -> None:
+def uninstall() -> None:
     """After the command: another signal ends the process at once."""
     if threading.current_thread() is threading.main_thread():
         signal.setitimer(signal.ITIMER_REAL, 0.0)

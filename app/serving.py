@@ -43,10 +43,10 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
     began = time.perf_counter()
     with _Steps(console) as step:
         step("loading libraries")
-        from app.control.loop import prefer_this_process
+        from app.control.loop import raise_process_priority
         from app.session import Session
 
-        prefer_this_process()
+        raise_process_priority()
 
         session = Session(options, progress=step)
         tape = None if options.record is None else session.record(options.record)

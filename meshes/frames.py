@@ -31,7 +31,7 @@ def in_text(text: bytes | str) -> str | None:
     found = {match.upper() for match in _SPACE.findall(text)}
     if len(found) > 1:
         both = " and ".join(f"SPACE={frame}" for frame in sorted(found, reverse=True))
-        raise MeshError(f"says {both}: which of them it is cannot be told")
+        raise MeshError(f"says {both}: only one frame is possible")
     frame = found.pop() if found else None
     if frame not in (None, *FRAMES):
         raise MeshError(f"says SPACE={frame}: only {' and '.join(FRAMES)} are read")

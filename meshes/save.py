@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import struct
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes import frames
+from meshes.atomic import replacing
 from meshes.checks.health import FloatArray, IntArray, checked_mesh
 from meshes.errors import MeshError
 from meshes.units import UNITS
@@ -50,21 +49,11 @@ def save(
     v, f = checked_mesh(vertices, faces)
     comment = "vf-sandbox" + (f" {frames.tag(frame)}" if frame else "")
     content = _WRITERS[kind](v / (1.0 if kind == "glb" else UNITS[unit]), f, comment)
-    temporary = ""
     try:
-        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem[:50]}-")
-        with os.fdopen(handle, "wb") as stream:
+        with replacing(file) as stream:
             stream.write(content)
-        # With the permissions of any new file; a temporary one is private.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, file)
     except OSError as error:
         raise MeshError(f"{file}: cannot be written ({error.strerror or error})") from None
-    finally:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
 
 
 def check_writable(path: str | os.PathLike[str], overwrite: bool = False) -> None:

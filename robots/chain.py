@@ -1,4 +1,4 @@
-"""The joints between base and tip of a Pinocchio model, as the compiled kinematics want them."""
+"""The joints between base and tip of a Pinocchio model, as arrays for the compiled kinematics."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ FloatArray = NDArray[np.float64]
 
 
 def flat(model: pin.Model, frame: int) -> FloatArray:
-    """The chain (k + 1, 14) that carries a frame, see `vf.chain`; read-only.
-
-    Joints that do not move the frame (of another branch) are left out.
+    """The chain (k + 1, 14) from the base to a frame, see `vf.chain`; read-only.
 
     Raises:
         ValueError: a joint is neither prismatic nor bounded revolute.

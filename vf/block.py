@@ -37,7 +37,8 @@ class Block:
     """Arrays of a tick, and the words that lead the kernels to them. Not thread-safe.
 
     Attributes:
-        words: (WORDS,) see `vf.layout`; the other arrays are parts by the names of their words.
+        words: (WORDS,) see `vf.layout`, at `address`; the other arrays are parts by the names of
+            their words.
         report: bytes of REPORT and of the planes behind it.
         head: bytes of REPORT.
     """
@@ -50,6 +51,7 @@ class Block:
             searches: one for each fixture; None: it answers itself.
         """
         self.words = np.zeros(layout.WORDS, dtype=np.int64)
+        self.address = self.words.ctypes.data
         # What the addresses lead to must not go away.
         self._searched = tuple(searches)
         self._parts: dict[int, NDArray[np.generic]] = {}
@@ -76,7 +78,7 @@ class Block:
         self.tip = self._part(layout.TIP, 3, 4)
         self._part(layout.BEST, 3, 4)
         self.solution = self._part(layout.SOLUTION, n)
-        self._part(layout.QUEUE, HEAP, 2)
+        self._part(layout.QUEUE, HEAP, 3)
         self._part(layout.POLYGONS, 2, CORNERS, 3)
         self.sides = self._part(layout.SIDES, len(searches), layout.SIDE)
         self.sides[:] = np.nan
@@ -101,19 +103,6 @@ class Block:
         size = scratch_size(n, rows + 2 * n)
         self.scratch = self._part(layout.SCRATCH, size)
         self.words[layout.SCRATCH_SIZE] = size
-
-    def problem(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the shortcuts left: u* (n,), rows (count, n) and bounds (count,), see `vf.solver`.
-
-        As `qp_kernels.carve` cuts the scratch up.
-        """
-        n, rows = self.n, self.room + 2 * self.n
-        first = n * n + 3 * n
-        return (
-            self.scratch[n * n : n * n + n],
-            self.scratch[first : first + count * n].reshape(count, n),
-            self.scratch[first + rows * n : first + rows * n + count],
-        )
 
     def _part(self, word: int, *shape: int) -> FloatArray:
         """A new part; what the word led to before is forgotten."""

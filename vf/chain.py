@@ -16,6 +16,43 @@ from vf.kernels import njit
 ROTATION, TRANSLATION, REVOLUTE, JOINT = 0, 9, 12, 13
 LINK = 14  # numbers of a row
 
+# A quarter turn in three parts of 33 bits, and the polynomials of sine and cosine on an eighth of a
+# turn either way: those of fdlibm (Sun Microsystems, 1993).
+QUARTER, QUARTER_REST, QUARTER_LAST = (
+    1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21,
+)  # fmt: skip
+S1, S2, S3, S4, S5, S6 = (
+    -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+    2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+)  # fmt: skip
+C1, C2, C3, C4, C5, C6 = (
+    4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+    -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
+)  # fmt: skip
+
+
+@njit(cache=True)
+def _cosine_sine(angle):  # type: ignore[no-untyped-def]
+    """Cosine and sine of an angle up to `problem.JOINT_RANGE` [rad], to a unit in the last place.
+
+    Both at once, in a third of the time of the C library's two.
+    """
+    turns = np.floor(angle * (2.0 / np.pi) + 0.5)
+    x = ((angle - turns * QUARTER) - turns * QUARTER_REST) - turns * QUARTER_LAST
+    z = x * x
+    sine = x + x * z * (S1 + z * (S2 + z * (S3 + z * (S4 + z * (S5 + z * S6)))))
+    cosine = 1.0 - (
+        0.5 * z - z * z * (C1 + z * (C2 + z * (C3 + z * (C4 + z * (C5 + z * C6)))))
+    )  # fmt: skip
+    quarter = int(turns) & 3
+    if quarter == 0:
+        return cosine, sine
+    if quarter == 1:
+        return -sine, cosine
+    if quarter == 2:
+        return -cosine, -sine
+    return sine, -cosine
+
 
 @njit(cache=True)
 def tip_pose(chain, q, pose, axes):  # type: ignore[no-untyped-def]
@@ -50,7 +87,7 @@ def tip_pose(chain, q, pose, axes):  # type: ignore[no-untyped-def]
         axes[i, 3], axes[i, 4], axes[i, 5] = x, y, z
         value = q[int(link[JOINT])]
         if link[REVOLUTE] > 0.0:
-            c, s = np.cos(value), np.sin(value)
+            c, s = _cosine_sine(value)
             r00, r01 = a00 * c + a01 * s, a01 * c - a00 * s
             r10, r11 = a10 * c + a11 * s, a11 * c - a10 * s
             r20, r21 = a20 * c + a21 * s, a21 * c - a20 * s

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, nan
-from time import perf_counter
+from time import monotonic
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -19,6 +19,7 @@ from vf.corridor import CorridorFixture
 from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes, planes_of, write_records
+from vf.qp_kernels import left_over
 from vf.selftest import check_kernels
 from vf.solver import Solver, backend, check_solver
 from vf.status import Status
@@ -160,69 +161,59 @@ class Step:
         """
         if name not in _CUT:
             raise AttributeError(f"'Step' object has no attribute '{name}'")
-        value = self.__dict__[name] = _CUT[name](self.__dict__)
+        value = self.__dict__[name] = _CUT[name](*self.__dict__["_left"])
         return value
 
 
-def _numbers(fields: dict[str, Any], first: int, count: int) -> FloatArray:
+def _numbers(record: bytes, first: int, count: int) -> FloatArray:
     """Numbers of the record of a step, read-only like the record itself."""
-    return np.frombuffer(fields["_record"], np.float64, count, 8 * first)
+    return np.frombuffer(record, np.float64, count, 8 * first)
 
 
-def _number(fields: dict[str, Any], place: int) -> float:
-    return float(_numbers(fields, place, 1)[0])
+def _number(record: bytes, place: int) -> float:
+    return float(_numbers(record, place, 1)[0])
 
 
-def _cut_tip(fields: dict[str, Any]) -> pin.SE3:
-    T = _numbers(fields, layout.REPORT_TIP, 12).reshape(3, 4)
+def _cut_tip(record: bytes) -> pin.SE3:
+    T = _numbers(record, layout.REPORT_TIP, 12).reshape(3, 4)
     return pin.SE3(T[:, :3], T[:, 3])
 
 
-def _records(fields: dict[str, Any]) -> FloatArray:
+def _records(record: bytes, n: int) -> FloatArray:
     """The planes (m, PLANE)."""
-    first = layout.HEAD + 2 * fields["_n"]
-    return _numbers(fields, first, -1).reshape(-1, layout.PLANE)
+    return _numbers(record, layout.HEAD + 2 * n, -1).reshape(-1, layout.PLANE)
 
 
-def _cut_planes(fields: dict[str, Any]) -> Planes:
-    planes = planes_of(_records(fields), _number(fields, layout.REPORT_ALLOWED))
+def _cut_planes(record: bytes, n: int) -> Planes:
+    planes = planes_of(_records(record, n), _number(record, layout.REPORT_ALLOWED))
     for array in vars(planes).values():
         if isinstance(array, np.ndarray):
             array.flags.writeable = False
     return planes
 
 
-def _cut_timings(fields: dict[str, Any]) -> Timings:
-    began, placed, found, solved, ended = _numbers(fields, layout.REPORT_MARKS, 5).tolist()
-    total = fields["_total"]
-    # What the call itself and its answer took is the kinematics' and the verification's.
-    inside = ended - began
-    around = max(total - inside, 0.0)
-    kinematics, planes, qp = placed - began, found - placed, solved - found
+def _cut_timings(record: bytes, started: float) -> Timings:
+    placed, found, solved, ended = _numbers(record, layout.REPORT_MARKS, 4).tolist()
     return Timings(
-        kinematics + 0.5 * around,
-        planes,
-        qp,
-        total - kinematics - 0.5 * around - planes - qp,
-        total,
+        placed - started, found - placed, solved - found, ended - solved, ended - started
     )
 
 
-# What makes each field of a step out of what a tick left.
-_CUT: dict[str, Callable[[dict[str, Any]], Any]] = {
-    "q": lambda f: _numbers(f, layout.HEAD, f["_n"]),
-    "tip": _cut_tip,
-    "planes": _cut_planes,
-    "force": lambda f: _numbers(f, layout.REPORT_FORCE, 3),
-    "status": lambda f: Status(int(_number(f, layout.REPORT_STATUS))),
-    "solver": lambda f: Solver(int(_number(f, layout.REPORT_SOLVER))),
-    "multipliers": lambda f: _read_only(_records(f)[:, layout.PUSH].copy()),
-    "radius": lambda f: _number(f, layout.REPORT_RADIUS),
-    "distance": lambda f: _number(f, layout.REPORT_DISTANCE),
-    "limits": lambda f: _read_only(
-        _numbers(f, layout.HEAD + f["_n"], f["_n"]).astype(np.int8)
+# What makes each field of a step out of what a tick left: its record, n, and when it began [s].
+_CUT: dict[str, Callable[[bytes, int, float], Any]] = {
+    "q": lambda record, n, _: _numbers(record, layout.HEAD, n),
+    "tip": lambda record, n, _: _cut_tip(record),
+    "planes": lambda record, n, _: _cut_planes(record, n),
+    "force": lambda record, n, _: _numbers(record, layout.REPORT_FORCE, 3),
+    "status": lambda record, n, _: Status(int(_number(record, layout.REPORT_STATUS))),
+    "solver": lambda record, n, _: Solver(int(_number(record, layout.REPORT_SOLVER))),
+    "multipliers": lambda record, n, _: _read_only(_records(record, n)[:, layout.PUSH].copy()),
+    "radius": lambda record, n, _: _number(record, layout.REPORT_RADIUS),
+    "distance": lambda record, n, _: _number(record, layout.REPORT_DISTANCE),
+    "limits": lambda record, n, _: _read_only(
+        _numbers(record, layout.HEAD + n, n).astype(np.int8)
     ),
-    "timings": _cut_timings,
+    "timings": lambda record, n, started: _cut_timings(record, started),
 }  # fmt: skip
 
 
@@ -360,7 +351,7 @@ class Controller:
         where there was no tick with usable joints yet is it what came in (not a number where that
         is no array), and the tip the identity.
         """
-        started = perf_counter()
+        started = monotonic()
         # The kernel reads what it is given as it is: only what is known for numbers goes there.
         if type(q) is not np.ndarray or q.dtype is not _FLOAT or q.shape != self._shape:
             try:
@@ -373,19 +364,17 @@ class Controller:
             usable = float(np.abs(q).sum()) <= problem.JOINT_RANGE
             return self._refused(q, started, self.arm.tip(q) if usable else None)
         block = self._block
-        words, goal = block.words, target.homogeneous
-        m = self._tick(words, q, goal, layout.BEGIN)
+        goal = target.homogeneous
+        m = self._tick(block.address, q, goal, layout.BEGIN)
         while m < 0:
             if m <= -layout.NO_TARGET:
                 T = pin.SE3(block.start[:, :3], block.start[:, 3])
                 return self._refused(q, started, T if m == -layout.NO_TARGET else None)
             self._answers[-m](q)
-            m = self._tick(words, q, goal, -m)
+            m = self._tick(block.address, q, goal, -m)
         step = _new_step(Step)
-        fields = step.__dict__
-        fields["_record"] = bytes(block.report[: block.head + _RECORD * m])
-        fields["_n"] = block.n
-        fields["_total"] = perf_counter() - started
+        record = block.report[: block.head + _RECORD * m].tobytes()
+        step.__dict__["_left"] = (record, block.n, started)
         self._sent = step
         return step
 
@@ -433,8 +422,8 @@ class Controller:
         """What the shortcuts left, by the solver."""
         block = self._block
         count = int(block.words[layout.LEFT])
-        best, rows, bounds = block.problem(count)
-        code, u, duals, _iterations = self._backend.solve(best, rows, bounds)
+        left = left_over(block.scratch, block.n, count)
+        code, u, duals, _iterations = self._backend.solve(*left)
         block.words[layout.ANSWER] = code
         block.solution[:] = u
         block.duals[:count] = duals
@@ -458,7 +447,7 @@ class Controller:
         planes = Planes.none(0.0)
         for array in (q, zero, none, planes.normals, planes.offsets, planes.points):
             array.flags.writeable = False
-        elapsed = perf_counter() - started
+        elapsed = monotonic() - started
         step = Step(
             q, T if T is not None else pin.SE3.Identity(), planes, zero,
             Status.REFUSED, Solver.IDLE, none, 0.0, inf, self._idle,
@@ -481,8 +470,8 @@ class _Compiled:
     """
 
     @cached_property
-    def tick(self) -> Callable[[NDArray[np.int64], FloatArray, FloatArray, int], int]:
-        return tick.compile("(i8[::1], f8[:], f8[:, ::1], i8)")
+    def tick(self) -> Callable[[int, FloatArray, FloatArray, int], int]:
+        return tick.compile("(i8, f8[:], f8[:, ::1], i8)")
 
 
 _COMPILED = _Compiled()

@@ -431,5 +431,5 @@ def _between_alone(  # type: ignore[no-untyped-def]
     """`between` with room of its own to work in, for a single call from Python."""
     return between(
         walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
-        tip_radius, planes, 0, np.empty((HEAP, 2)), np.empty((2, CORNERS, 3)),
+        tip_radius, planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
     )  # fmt: skip

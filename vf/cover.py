@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vf.closest import closest_on_triangle, distance_error
-from vf.kernels import njit
+from vf.kernels import bits_as_float, float_as_bits, lowest_bit, njit
 from vf.layout import (
     BUMP,
     CAPSULE,
@@ -135,15 +135,16 @@ def cover(
 
 
 @njit(cache=True, nogil=True)
-def _push(queue, size, key, item):  # type: ignore[no-untyped-def]
+def _push(queue, size, key, item, mask):  # type: ignore[no-untyped-def]
     i = size
     while i > 0:
         parent = (i - 1) >> 1
         if queue[parent, 0] <= key:
             break
         queue[i, 0], queue[i, 1] = queue[parent, 0], queue[parent, 1]
+        queue[i, 2] = queue[parent, 2]
         i = parent
-    queue[i, 0], queue[i, 1] = key, item
+    queue[i, 0], queue[i, 1], queue[i, 2] = key, item, mask
 
 
 @njit(cache=True, nogil=True)
@@ -156,10 +157,10 @@ def _pop(queue, size):  # type: ignore[no-untyped-def]
     child = 1
     while child < size:
         child += queue[child + 1, 0] < queue[child, 0]  # at most the last entry itself
-        queue[i, 0], queue[i, 1] = queue[child, 0], queue[child, 1]
+        queue[i, 0], queue[i, 1], queue[i, 2] = queue[child, 0], queue[child, 1], queue[child, 2]
         i = child
         child = 2 * i + 1
-    _push(queue, i, queue[size, 0], queue[size, 1])
+    _push(queue, i, queue[size, 0], queue[size, 1], queue[size, 2])
 
 
 @njit(cache=True, nogil=True)
@@ -173,25 +174,44 @@ def _less(d2, rim, far):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _box_behind(nodes, node, planes, less, near, seen, m):  # type: ignore[no-untyped-def]
-    """Whether a node's box is wholly behind one of the planes seen … m − 1, rounding included."""
+def _since(seen, m):  # type: ignore[no-untyped-def]
+    """A mask of the planes seen … m − 1, of 64 at most."""
+    if seen == m:
+        return 0
+    return (-1 << seen) & (-1 if m == 64 else (1 << m) - 1)
+
+
+@njit(cache=True, nogil=True)
+def _box_behind(nodes, node, planes, less, near, mask):  # type: ignore[no-untyped-def]
+    """Whether a node's box is wholly behind one of the planes of a mask, rounding included.
+
+    And a mask of those that a part of it is behind: the others hide nothing of what is in it.
+    """
     cx, cy, cz = nodes[node, 0], nodes[node, 1], nodes[node, 2]
-    for i in range(seen, m):
+    reach = nodes[node, 3] + nodes[node, 4] + nodes[node, 5]
+    left = 0
+    while mask != 0:
+        i = lowest_bit(mask)
+        bit = mask & -mask
+        mask ^= bit
         nx, ny, nz = planes[i, NORMAL], planes[i, NORMAL + 1], planes[i, NORMAL + 2]
-        top = nx * cx + ny * cy + nz * cz - planes[i, LIMIT] + less * planes[i, BUMP]
-        if top >= 0.0:
+        middle = nx * cx + ny * cy + nz * cz - planes[i, LIMIT]
+        if middle >= reach:
             continue
+        half = 0.0
         for k in range(3):
-            top += nodes[node, 3 + k] * abs(
+            half += nodes[node, 3 + k] * abs(
                 nodes[node, 6 + 3 * k] * nx
                 + nodes[node, 7 + 3 * k] * ny
                 + nodes[node, 8 + 3 * k] * nz
             )
-        if top < 0.0:
-            size = abs(cx) + abs(cy) + abs(cz) + nodes[node, 3] + nodes[node, 4] + nodes[node, 5]
-            if top < -max(ROUND * size, near):
-                return True
-    return False
+        if middle >= half:
+            continue
+        top = middle + less * planes[i, BUMP] + half
+        if top < 0.0 and top < -max(ROUND * (abs(cx) + abs(cy) + abs(cz) + reach), near):
+            return True, 0
+        left |= bit
+    return False, left
 
 
 @njit(cache=True, nogil=True)
@@ -204,21 +224,28 @@ def _rounding(corners, t, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _triangle_behind(corners, t, planes, less, near, seen, m):  # type: ignore[no-untyped-def]
-    """Whether a triangle is wholly behind one of the planes seen … m − 1: most need no clipping."""
-    if seen == m:
-        return False
+def _triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-untyped-def]
+    """Whether a triangle is wholly behind one of the planes of a mask: most need no clipping.
+
+    And a mask of those that a part of it is behind.
+    """
+    left = 0
+    if mask == 0:
+        return False, left
     rounding = _rounding(corners, t, near)
-    for i in range(seen, m):
+    while mask != 0:
+        i = lowest_bit(mask)
+        bit = mask & -mask
+        mask ^= bit
         nx, ny, nz = planes[i, NORMAL], planes[i, NORMAL + 1], planes[i, NORMAL + 2]
-        limit = planes[i, LIMIT] - less * planes[i, BUMP] - rounding
-        if (
-            nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2] < limit
-            and nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5] < limit
-            and nx * corners[t, 6] + ny * corners[t, 7] + nz * corners[t, 8] < limit
-        ):
-            return True
-    return False
+        h0 = nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2]
+        h1 = nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5]
+        h2 = nx * corners[t, 6] + ny * corners[t, 7] + nz * corners[t, 8]
+        if max(h0, h1, h2) < planes[i, LIMIT] - less * planes[i, BUMP] - rounding:
+            return True, 0
+        if min(h0, h1, h2) < planes[i, LIMIT]:
+            left |= bit
+    return False, left
 
 
 @njit(cache=True, nogil=True)
@@ -246,14 +273,19 @@ def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _remainder(corners, t, planes, less, rounding, m, polygon, spare):  # type: ignore[no-untyped-def]
-    """Clip triangle t to what no plane covers: corner count, and whether it is in `spare`."""
+def _remainder(corners, t, planes, less, rounding, mask, polygon, spare):  # type: ignore[no-untyped-def]
+    """Clip triangle t to what no plane of a mask covers.
+
+    Returns its corner count, and whether it is in `spare`.
+    """
     for j in range(3):
         for k in range(3):
             polygon[j, k] = corners[t, 3 * j + k]
     count = 3
     swapped = False
-    for i in range(m):
+    while mask != 0 and count > 0:
+        i = lowest_bit(mask)
+        mask &= mask - 1
         nx, ny, nz = planes[i, NORMAL], planes[i, NORMAL + 1], planes[i, NORMAL + 2]
         limit = planes[i, LIMIT] - less * planes[i, BUMP] - rounding
         if swapped:
@@ -261,8 +293,6 @@ def _remainder(corners, t, planes, less, rounding, m, polygon, spare):  # type: 
         else:
             count = _clip(polygon, spare, count, nx, ny, nz, limit)
         swapped = not swapped
-        if count == 0:
-            break
     return count, swapped
 
 
@@ -319,7 +349,7 @@ def walk(  # type: ignore[no-untyped-def]
         walls: triangles (a, b, b) stand for walls through a and b along z, and p[2] is 0.
         ease: `EASE`, or less.
         planes: (k, PLANE) written; at most `BUDGET` of them.
-        queue, polygons: (HEAP, 2), (2, ≥ CORNERS, 3) to work in.
+        queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
     """
     # An entry of the queue knows only so many planes, whatever room there is for more.
     budget = min(planes.shape[0] - first, BUDGET)
@@ -334,8 +364,9 @@ def walk(  # type: ignore[no-untyped-def]
     # A point z of the mesh is behind plane i when n·z is below its LIMIT, of which its BUMP is for
     # bumps and counts less and less for triangles nearer than `far`.
     far = tip_radius + NEAR * standoff
-    # The queue holds squared distances and items. A waiting node is its number, a waiting triangle
-    # −1 − its number; times SEEN, plus the number of planes it has already been tested against.
+    # The queue holds squared distances, items and masks. A waiting node is its number, a waiting
+    # triangle −1 − its number; times SEEN, plus the number of planes it has already been tested
+    # against. Its mask says which of these hide a part of it: only they can hide what is in it.
     m = 0
     valid = radius
     size = 0
@@ -345,16 +376,15 @@ def walk(  # type: ignore[no-untyped-def]
     # The nearest of what was just opened is often the nearest of all: it need not queue.
     next2 = box_distance2(nodes, 0, x, y, z)
     next_item = 0
+    next_mask = 0
     while True:
-        d2 = next2
-        item = next_item
+        d2, item, mask = next2, next_item, next_mask
         if size > 0 and queue[0, 0] < next2:
-            d2 = queue[0, 0]
-            item = int(queue[0, 1])
+            d2, item, mask = queue[0, 0], int(queue[0, 1]), float_as_bits(queue[0, 2])
             _pop(queue, size)
             size -= 1
             if next2 <= reach2:
-                _push(queue, size, next2, next_item)
+                _push(queue, size, next2, next_item, bits_as_float(next_mask))
                 size += 1
         next2 = np.inf
         if d2 > reach2:
@@ -363,8 +393,10 @@ def walk(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = _less(d2, tip_radius, far)
         if item >= 0:
-            if _box_behind(nodes, item, planes, less, near, seen, m):
+            hidden, cut = _box_behind(nodes, item, planes, less, near, _since(seen, m))
+            if hidden:
                 continue
+            mask |= cut
             link = nodes[item, 15]
             if link > 0.0:
                 first, last = children_of(link)
@@ -376,12 +408,16 @@ def walk(  # type: ignore[no-untyped-def]
             for entry in range(first, last):
                 if link > 0.0:
                     e2 = box_distance2(nodes, entry, x, y, z)
-                    if e2 <= reach2 and _box_behind(
-                        nodes, entry, planes, _less(e2, tip_radius, far), near, 0, m
-                    ):
+                    if e2 > reach2:
+                        continue
+                    hidden, cut = _box_behind(
+                        nodes, entry, planes, _less(e2, tip_radius, far), near, mask
+                    )
+                    if hidden:
                         continue
                 else:
-                    if _triangle_behind(corners, entry, planes, less, near, 0, m):
+                    hidden, cut = _triangle_behind(corners, entry, planes, less, near, mask)
+                    if hidden:
                         continue
                     e2 = triangle_distance2(corners, entry, x, y, z)
                     if slivers[entry] > 0.0:
@@ -394,16 +430,20 @@ def walk(  # type: ignore[no-untyped-def]
                 if e2 < next2:
                     e2, next2 = next2, e2
                     new, next_item = next_item, new
+                    cut, next_mask = next_mask, cut
                 if e2 <= reach2:
-                    _push(queue, size, e2, new)
+                    _push(queue, size, e2, new, bits_as_float(cut))
                     size += 1
             continue
 
         t = -1 - item
-        if _triangle_behind(corners, t, planes, less, near, seen, m):
+        hidden, cut = _triangle_behind(corners, t, planes, less, near, _since(seen, m))
+        if hidden:
             continue
         rounding = _rounding(corners, t, near)
-        corners_left, swapped = _remainder(corners, t, planes, less, rounding, m, polygon, spare)
+        corners_left, swapped = _remainder(
+            corners, t, planes, less, rounding, mask | cut, polygon, spare
+        )
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
@@ -469,7 +509,7 @@ def walk_alone(  # type: ignore[no-untyped-def]
     """`walk` with room of its own to work in, for a single call from Python."""
     return walk(
         nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
-        planes, 0, np.empty((HEAP, 2)), np.empty((2, CORNERS, 3)),
+        planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Compiling kernels, and keeping them on disk: sealed, never stale, wherever one can write.
 
-Two things that numba does not give them are here too: arrays found by their address, and the time.
+What numba does not give them is here too: arrays found by their address, bits, and the time.
 
 Numba's own files are read as they are: one that is cut short ends every start, one with a flipped
 bit is machine code that gives other planes, and a changed callee is not noticed. Here each file
@@ -62,6 +62,36 @@ def _pointer(kind: Any) -> Any:
 floats_at = _pointer(types.float64)
 integers_at = _pointer(types.int64)
 bytes_at = _pointer(types.int8)
+
+
+@intrinsic
+def lowest_bit(_context, mask):  # type: ignore[no-untyped-def]
+    """Number of the lowest bit that is set in an integer, 64 if none is."""
+
+    def code(_context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.cttz(arguments[0], ir.IntType(1)(0))
+
+    return types.int64(types.int64), code
+
+
+@intrinsic
+def bits_as_float(_context, bits):  # type: ignore[no-untyped-def]
+    """A float64 of the same 64 bits as an integer, to be kept and never reckoned with."""
+
+    def code(_context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], ir.DoubleType())
+
+    return types.float64(types.int64), code
+
+
+@intrinsic
+def float_as_bits(_context, number):  # type: ignore[no-untyped-def]
+    """The integer that `bits_as_float` was given."""
+
+    def code(_context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], ir.IntType(64))
+
+    return types.int64(types.float64), code
 
 
 @intrinsic

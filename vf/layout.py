@@ -62,7 +62,7 @@ SCRATCH = 35  # of the solver, see `qp_kernels.carve`
 SCRATCH_SIZE = 36  # not an address
 SOLUTION = 37  # (n,) of the solver asked: u
 DUALS = 38  # one for each row left for it
-QUEUE = 39  # (cover.HEAP, 2) of the walk
+QUEUE = 39  # (cover.HEAP, 3) of the walk
 POLYGONS = 40  # (2, cover.CORNERS, 3) of the walk
 SEARCHES = 41  # (FIXTURES, SEARCH) integers: what each fixture is and where
 SIDES = 42  # (FIXTURES, SIDE) numbers of each fixture
@@ -96,8 +96,8 @@ LOW = 21  # bisection
 HIGH = 22
 BEST_SHARE = 23
 DESIRED = 24  # six numbers: the desired step [m]
-MARKS = 30  # five times [s]: start, kinematics, planes, QP, end
-SCALARS = 36
+MARKS = 30  # four times [s], each at the end of: kinematics, planes, QP, verification
+SCALARS = 34
 
 # Rows of TABLE, each (n,) …
 TASK = 0  # six rows
@@ -130,10 +130,10 @@ SIDE = 4
 
 # REPORT: what became of a tick. `REPORTED_Q` and `REPORTED_LIMITS` are (n,) each, then the planes.
 REPORT_STATUS, REPORT_SOLVER, REPORT_RADIUS, REPORT_ALLOWED, REPORT_DISTANCE = 0, 1, 2, 3, 4
-REPORT_MARKS = 5  # five times [s]
-REPORT_FORCE = 10  # three numbers [N]
-REPORT_TIP = 13  # (3, 4)
-HEAD = 25
+REPORT_MARKS = 5  # four times [s]
+REPORT_FORCE = 9  # three numbers [N]
+REPORT_TIP = 12  # (3, 4)
+HEAD = 24
 
 
 # What a fixture is to the kernels (KIND).

@@ -46,32 +46,34 @@ def usable(R):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def rotation_log(R, w):  # type: ignore[no-untyped-def]
-    """Rotation vector w (3,) [rad] of the rotation matrix R (3, 3), up to half a turn."""
-    w[0] = 0.5 * (R[2, 1] - R[1, 2])
-    w[1] = 0.5 * (R[0, 2] - R[2, 0])
-    w[2] = 0.5 * (R[1, 0] - R[0, 1])
-    sine = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+def rotation_log(r00, r01, r02, r10, r11, r12, r20, r21, r22):  # type: ignore[no-untyped-def]
+    """Rotation vector (three numbers) [rad] of a rotation matrix, up to half a turn."""
+    x, y, z = 0.5 * (r21 - r12), 0.5 * (r02 - r20), 0.5 * (r10 - r01)
+    sine = np.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (r00 + r11 + r22 - 1.0)
     angle = np.arctan2(sine, cosine)
     if cosine > -0.99:
         scale = angle / sine if sine > 1e-12 else 1.0
-        for k in range(3):
-            w[k] *= scale
-        return
-    # Near half a turn the skew part vanishes; (R + Rᵀ)/2 − cos·I = (1 − cos) a aᵀ does not.
-    k = 0
-    for j in range(1, 3):
-        if R[j, j] > R[k, k]:
-            k = j
-    sign = 1.0 if w[k] >= 0.0 else -1.0
-    norm = 0.0
-    for j in range(3):
-        w[j] = 0.5 * (R[j, k] + R[k, j]) - (cosine if j == k else 0.0)
-        norm += w[j] * w[j]
-    scale = sign * angle / np.sqrt(norm)
-    for j in range(3):
-        w[j] *= scale
+        return x * scale, y * scale, z * scale
+    # Near half a turn the skew part vanishes; (R + Rᵀ)/2 − cos·I = (1 − cos) a aᵀ does not. Of its
+    # columns the longest is taken.
+    xy, xz, yz = 0.5 * (r01 + r10), 0.5 * (r02 + r20), 0.5 * (r12 + r21)
+    if r00 >= r11 and r00 >= r22:
+        ax, ay, az, sign = r00 - cosine, xy, xz, x
+    elif r11 >= r22:
+        ax, ay, az, sign = xy, r11 - cosine, yz, y
+    else:
+        ax, ay, az, sign = xz, yz, r22 - cosine, z
+    scale = angle / np.sqrt(ax * ax + ay * ay + az * az)
+    if sign < 0.0:
+        scale = -scale
+    return ax * scale, ay * scale, az * scale
+
+
+@njit(cache=True)
+def _dot(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Of row i of one pose and row j of another: an entry of R_a R_bᵀ."""
+    return a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
 
 
 @njit(cache=True)
@@ -80,18 +82,16 @@ def desired_step(start, goal, radius, length, desired):  # type: ignore[no-untyp
 
     Rotation is weighed by `length` [m/rad].
     """
-    turn = np.empty((3, 3))
-    w = np.empty(3)
-    for i in range(3):
-        for j in range(3):
-            turn[i, j] = goal[i, 0] * start[j, 0] + goal[i, 1] * start[j, 1]
-            turn[i, j] += goal[i, 2] * start[j, 2]
-    rotation_log(turn, w)
+    desired[3], desired[4], desired[5] = rotation_log(
+        _dot(goal, 0, start, 0), _dot(goal, 0, start, 1), _dot(goal, 0, start, 2),
+        _dot(goal, 1, start, 0), _dot(goal, 1, start, 1), _dot(goal, 1, start, 2),
+        _dot(goal, 2, start, 0), _dot(goal, 2, start, 1), _dot(goal, 2, start, 2),
+    )  # fmt: skip
     move = 0.0
     spin = 0.0
     for k in range(3):
         desired[k] = goal[k, 3] - start[k, 3]
-        desired[3 + k] = length * w[k]
+        desired[3 + k] *= length
         move += desired[k] * desired[k]
         spin += desired[3 + k] * desired[3 + k]
     move = np.sqrt(move)

@@ -5,41 +5,80 @@ They work in one scratch array, cut up by `carve`: a call from Python pays for e
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
-from vf.kernels import njit
+from vf.kernels import floats_at, njit
+from vf.planes import FloatArray
 from vf.solver import Solver
 
 EXTRA = 4  # numbers a row takes in the scratch besides its n coefficients
 # What `reduce` answers where there are no rows to look at.
 FREE_ROWS, NO_WAY = 0, -1
-CHANGES = 4  # of the active rows that `finish` may make, for each joint
+CHANGES = 4  # of the active rows that `settle` may make, for each joint
 FREE, SOLVED, INFEASIBLE = int(Solver.FREE), int(Solver.SOLVED), int(Solver.INFEASIBLE)
 PROJECTED = int(Solver.PROJECTED)
 
 
 def scratch_size(n: int, rows: int) -> int:
     """Length of the scratch for n joints and that many rows, the joints' bounds among them."""
-    return n * n + 3 * n + rows * (n + EXTRA)
+    return 2 * (n * n + 3 * n) + rows * (n + EXTRA)
+
+
+@njit(cache=True)
+def row_count(scratch, n):  # type: ignore[no-untyped-def]
+    """How many rows the scratch has room for."""
+    return (scratch.shape[0] - 2 * (n * n + 3 * n)) // (n + EXTRA)
 
 
 @njit(cache=True, inline="always")
 def carve(scratch, n):  # type: ignore[no-untyped-def]
     """Parts: factor (n, n), best, x, dq (n,), rows (r, n), bounds, scales, y, origin (r,)."""
-    rows = (scratch.shape[0] - n * n - 3 * n) // (n + EXTRA)
+    rows = row_count(scratch, n)
     a = n * n
     b = a + 3 * n
     c = b + rows * n
+    start = scratch.ctypes.data  # by address: to reshape is a call of a function
     return (
-        scratch[:a].reshape((n, n)),
+        numba.carray(floats_at(start), (n, n)),
         scratch[a : a + n],
         scratch[a + n : a + 2 * n],
         scratch[a + 2 * n : b],
-        scratch[b:c].reshape((rows, n)),
+        numba.carray(floats_at(start + 8 * b), (rows, n)),
         scratch[c : c + rows],
         scratch[c + rows : c + 2 * rows],
         scratch[c + 2 * rows : c + 3 * rows],
         scratch[c + 3 * rows : c + 4 * rows],
+    )
+
+
+@njit(cache=True, inline="always")
+def carve_rest(scratch, n):  # type: ignore[no-untyped-def]
+    """What `settle` works in: gram (n, n), c, u and active (n,)."""
+    a = scratch.shape[0] - n * n - 3 * n
+    b = a + n * n
+    return (
+        numba.carray(floats_at(scratch.ctypes.data + 8 * a), (n, n)),
+        scratch[b : b + n],
+        scratch[b + n : b + 2 * n],
+        scratch[b + 2 * n : b + 3 * n],
+    )
+
+
+@njit(cache=True)
+def answer(scratch, n):  # type: ignore[no-untyped-def]
+    """The joint step dq (n,) that was found."""
+    return scratch[n * n + 2 * n : n * n + 3 * n]
+
+
+def left_over(scratch: FloatArray, n: int, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What `attempt` left for a solver: u* (n,), rows (count, n) and bounds (count,)."""
+    b = n * n + 3 * n
+    c = b + row_count.py_func(scratch, n) * n
+    return (
+        scratch[n * n : n * n + n],
+        scratch[b : b + count * n].reshape(count, n),
+        scratch[c : c + count],
     )
 
 
@@ -50,31 +89,40 @@ def reduce(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Factor, unconstrained optimum and how many rows matter.
 
-    FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows.
+    FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows. The factor's diagonal holds
+    reciprocals: a division takes as long as several products.
 
     `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
     """
     k, n = J.shape
     for i in range(n):
         for j in range(i + 1):
-            h = damping if i == j else 0.0
-            for r in range(k):
-                h += J[r, i] * J[r, j]
+            factor[i, j] = damping if i == j else 0.0
+        best[i] = 0.0
+    for r in range(k):
+        for i in range(n):
+            for j in range(i + 1):
+                factor[i, j] += J[r, i] * J[r, j]
+            best[i] += J[r, i] * d[r]
+    for i in range(n):
+        for j in range(i):
+            h = factor[i, j]
             for r in range(j):
                 h -= factor[i, r] * factor[j, r]
-            factor[i, j] = np.sqrt(h) if i == j else h / factor[j, j]
-    for i in range(n):
-        h = 0.0
-        for r in range(k):
-            h += J[r, i] * d[r]
+            factor[i, j] = h * factor[j, j]
+        h = factor[i, i]
+        for r in range(i):
+            h -= factor[i, r] * factor[i, r]
+        factor[i, i] = 1.0 / np.sqrt(h)
+        h = best[i]
         for r in range(i):
             h -= factor[i, r] * best[r]
-        best[i] = h / factor[i, i]
+        best[i] = h * factor[i, i]
     for i in range(n - 1, -1, -1):
         h = best[i]
         for r in range(i + 1, n):
             h -= factor[r, i] * dq[r]
-        dq[i] = h / factor[i, i]
+        dq[i] = h * factor[i, i]
     excess = 1.0
     for j in range(n):
         if abs(dq[j]) > excess * pace[j]:
@@ -110,17 +158,20 @@ def reduce(  # type: ignore[no-untyped-def]
                 h = G[i, j]
                 for r in range(j):
                     h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h / factor[j, j]
+                rows[count, j] = h * factor[j, j]
             bound = b[i]
             origin[count] = i
         else:
             c = (i - m) % n
             sign = 1.0 if i < m + n else -1.0
-            for j in range(n):
-                h = sign if j == c else 0.0
-                for r in range(j):
+            for j in range(c):
+                rows[count, j] = 0.0
+            rows[count, c] = sign * factor[c, c]
+            for j in range(c + 1, n):
+                h = 0.0
+                for r in range(c, j):
                     h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h / factor[j, j]
+                rows[count, j] = h * factor[j, j]
             bound = lower[c] if sign > 0.0 else -upper[c]
             origin[count] = -1 - (i - m)
         norm = 0.0
@@ -156,7 +207,7 @@ def recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers):
         h = x[i] * 1e-3
         for r in range(i + 1, n):
             h -= factor[r, i] * dq[r]
-        dq[i] = h / factor[i, i]
+        dq[i] = h * factor[i, i]
     for j in range(n):
         dq[j] = min(max(dq[j], lower[j]), upper[j])
     for i in range(count):
@@ -181,7 +232,7 @@ def mark_worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped-def]
+def settle(best, rows, bounds, count, changes, x, y, scratch):  # type: ignore[no-untyped-def]
     """Project u* on the active rows (y < 0), all at once, and take that if it is the optimum.
 
     It is when it obeys every row and every multiplier has the right sign; then x and y are exact
@@ -189,10 +240,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
     sign leaves the active ones, or else the most broken row joins them.
     """
     n = best.shape[0]
-    active = np.empty(n, dtype=np.int64)
-    gram = np.empty((n, n))
-    c = np.empty(n)
-    u = np.empty(n)
+    gram, c, u, active = carve_rest(scratch, n)
     k = 0
     for _ in range(n):  # the n largest multipliers, largest first
         row = -1
@@ -210,14 +258,14 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
     for _ in range(changes + 1):
         a = 0
         while a < k:
-            h = bounds[active[a]]
+            h = bounds[int(active[a])]
             for j in range(n):
-                h -= rows[active[a], j] * best[j]
+                h -= rows[int(active[a]), j] * best[j]
             c[a] = h
             for b in range(a + 1):
                 h = 0.0
                 for j in range(n):
-                    h += rows[active[a], j] * rows[active[b], j]
+                    h += rows[int(active[a]), j] * rows[int(active[b]), j]
                 for r in range(b):
                     h -= gram[a, r] * gram[b, r]
                 gram[a, b] = h if a == b else h / gram[b, b]
@@ -246,7 +294,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
         for j in range(n):
             u[j] = best[j]
             for a in range(k):
-                u[j] += c[a] * rows[active[a], j]
+                u[j] += c[a] * rows[int(active[a]), j]
         row = -1
         worst = 1e-9
         for i in range(count):
@@ -260,7 +308,7 @@ def settle(best, rows, bounds, count, changes, x, y):  # type: ignore[no-untyped
             x[:] = u
             y[:count] = 0.0
             for a in range(k):
-                y[active[a]] = -c[a]
+                y[int(active[a])] = -c[a]
             return True
         if k == n:
             return False
@@ -288,9 +336,12 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
         dq[:] = 0.0
         return INFEASIBLE, 0
     mark_worst(best, rows, bounds, count, y)
-    if settle(best, rows, bounds, count, 0, x, y):
+    if settle(best, rows, bounds, count, CHANGES * n, x, y, scratch):
         recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
-        return PROJECTED, 0
+        binding = 0
+        for i in range(count):
+            binding += y[i] < 0.0
+        return PROJECTED if binding == 1 else SOLVED, 0
     dq[:] = 0.0
     return SOLVED, count
 
@@ -306,6 +357,6 @@ def finish(u, duals, count, lower, upper, scratch, multipliers):  # type: ignore
     factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
     x[:] = u
     y[:count] = duals[:count]
-    exact = settle(best, rows, bounds, count, CHANGES * n, x, y)
+    exact = settle(best, rows, bounds, count, CHANGES * n, x, y, scratch)
     recover(x, y, count, factor, scales, origin, lower, upper, dq, multipliers)
     return exact

@@ -17,7 +17,7 @@ class Solver(IntEnum):
     """How a tick's optimum was found."""
 
     FREE = 0  # the unconstrained optimum obeys every row
-    SOLVED = 1
+    SOLVED = 1  # several rows bind
     NOT_CONVERGED = 2  # iterations spent; the best iterate is returned
     INFEASIBLE = 3  # no Δq obeys the rows; zero is returned
     IDLE = 4  # nothing was asked

@@ -76,6 +76,8 @@ class _Workspace:
         self._linear = np.empty(n)
         self._values = np.zeros(rows * n)  # column-major
         self._low = np.full(rows, -np.inf)
+        # Compiled now, and not in the tick that asks first.
+        _pack(self._x0, np.zeros((0, n)), np.zeros(0), self._values, self._low, self._linear)
 
     def solve(self, best: FloatArray, rows: FloatArray, bounds: FloatArray) -> Answer:
         _pack(best, rows, bounds, self._values, self._low, self._linear)

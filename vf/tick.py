@@ -145,6 +145,7 @@ from vf.layout import (
     WALLS,
     WHOLE,
     WITHIN,
+    WORDS,
 )
 from vf.problem import (
     JOINT_RANGE,
@@ -158,7 +159,7 @@ from vf.problem import (
     sagitta,
     usable,
 )
-from vf.qp_kernels import attempt, carve, finish
+from vf.qp_kernels import answer, attempt, finish
 from vf.solver import Solver
 from vf.status import Status
 
@@ -173,11 +174,11 @@ IS_RECOVERING, IS_INSIDE = int(Status.RECOVERING), int(Status.INSIDE)
 
 
 @njit(cache=True)
-def tick(words, q, goal, phase):  # type: ignore[no-untyped-def]
+def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
     """Begin a tick, or go on with it.
 
     Args:
-        words: (WORDS,) of the block.
+        address: of the words (WORDS,) of the block.
         q: joint positions [rad or m], the same throughout a tick.
         goal: (4, 4) pose of the target, base frame, likewise.
         phase: BEGIN, or what the last call asked for.
@@ -186,13 +187,13 @@ def tick(words, q, goal, phase):  # type: ignore[no-untyped-def]
         How many planes the report has: the tick is done. Or less than zero: minus the phase to go
         on with when its question is answered, or minus the reason why there is nothing to do.
     """
+    words = numba.carray(integers_at(address), (WORDS,))
     n = words[JOINTS]
     numbers = numba.carray(floats_at(words[NUMBERS]), (SCALARS,))
     table = numba.carray(floats_at(words[TABLE]), (JOINT_ROWS, n))
     start = numba.carray(floats_at(words[START]), (3, 4))
     J = numba.carray(floats_at(words[JACOBIAN]), (6, n))
     if phase == BEGIN:
-        numbers[MARKS] = now()
         if q.shape[0] != n:
             return -NO_JOINTS
         total = 0.0
@@ -213,7 +214,7 @@ def tick(words, q, goal, phase):  # type: ignore[no-untyped-def]
     places = numba.carray(floats_at(words[PLACES]), (points, 3))
     jacobians = numba.carray(floats_at(words[JACOBIANS]), (points, 3, n))
     if phase == PLACED:
-        numbers[MARKS + 1] = now()
+        numbers[MARKS] = now()
         if not usable(goal):
             return -NO_TARGET
         for k in range(3):
@@ -241,7 +242,7 @@ def tick(words, q, goal, phase):  # type: ignore[no-untyped-def]
         whole = reach >= numbers[SEARCHED]
         numbers[FARTHEST] = reach - numbers[BEYOND] if whole else reach
         numbers[LONGEST] = min(numbers[ALLOWED], numbers[TIP_REACH])
-        numbers[MARKS + 2] = now()
+        numbers[MARKS + 1] = now()
         desired_step(start, goal, numbers[ALLOWED], numbers[LENGTH], numbers[DESIRED : DESIRED + 6])
         for j in range(n):
             for k in range(3):
@@ -281,7 +282,7 @@ def tick(words, q, goal, phase):  # type: ignore[no-untyped-def]
                 for i in range(m):
                     planes[i, PUSH] = multipliers[i]
                 moves = _shortened(numbers, table, J, scratch, STEP)
-                numbers[MARKS + 3] = now()
+                numbers[MARKS + 2] = now()
                 if not moves:
                     numbers[SHARE] = 1.0
                     table[TRIAL] = table[POSITION]
@@ -370,7 +371,7 @@ def _search(words, numbers, planes, x):  # type: ignore[no-untyped-def]
     """The planes of all fixtures for a tip at x (3,); False: Python has to be asked for them."""
     fixtures = words[FIXTURES]
     searches = numba.carray(integers_at(words[SEARCHES]), (fixtures, SEARCH))
-    queue = numba.carray(floats_at(words[QUEUE]), (HEAP, 2))
+    queue = numba.carray(floats_at(words[QUEUE]), (HEAP, 3))
     polygons = numba.carray(floats_at(words[POLYGONS]), (2, CLIPPED, 3))
     for f in range(fixtures):
         if searches[f, KIND] == GIVEN:
@@ -454,7 +455,7 @@ def _shortened(numbers, table, J, scratch, row):  # type: ignore[no-untyped-def]
     All joints are shortened alike: so it obeys the rows, and the tip heads for where it will end.
     """
     n = table.shape[1]
-    dq = carve(scratch, n)[3]
+    dq = answer(scratch, n)
     numbers[PACED] = pace(dq, table[SPEED], J, numbers[TIP_REACH])
     moves = False
     for j in range(n):
@@ -618,7 +619,7 @@ def _report(words, numbers, table, goal, tip, planes, x):  # type: ignore[no-unt
         if searches[f, KEEPS] > 0 and sides[f, WITHIN] == 0.0:
             for k in range(3):
                 sides[f, SEEN + k] = x[k]
-    numbers[MARKS + 4] = now()
-    for k in range(5):
+    numbers[MARKS + 3] = now()
+    for k in range(4):
         report[REPORT_MARKS + k] = numbers[MARKS + k]
     return words[COUNT]

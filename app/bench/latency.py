@@ -92,13 +92,13 @@ def run(
     """
     from app.bench.loop import Tap, summary
     from app.bench.tools.machine import machine, percentiles
-    from app.control.loop import prefer_this_process
+    from app.control.loop import raise_process_priority
     from app.session import Session
     from app.settings import Options
     from app.view.page import Page
 
     about = machine()
-    prefer_this_process()
+    raise_process_priority()
     with ExitStack() as stack:
         session = Session(Options(mesh=options.mesh, rate=options.rate, port=0), progress=say)
         # A slow browser may need several seconds for each drag.
@@ -229,7 +229,7 @@ def _matrix(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(pin.Quaternion(w, x, y, z).matrix())
 
 
-def _attend(browser: Any, url: str) -> None:
+def _serve_requests(browser: Any, url: str) -> None:
     tab = browser.new_page(viewport=WINDOW, device_scale_factor=RATIO)
     tab.add_init_script(_HOOK)
     tab.goto(url)
@@ -262,4 +262,4 @@ def _drag(tab: Any, at: NDArray[np.float64], by: NDArray[np.float64], count: int
 
 
 if __name__ == "__main__":
-    sys.exit(browse(lambda browser: _attend(browser, sys.argv[1])))
+    sys.exit(browse(lambda browser: _serve_requests(browser, sys.argv[1])))

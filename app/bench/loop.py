@@ -22,7 +22,7 @@ from app.bench.tools.machine import machine, percentiles, resident
 from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
-from app.control.loop import prefer_this_process
+from app.control.loop import raise_process_priority
 from app.refused import Refused
 from app.session import Session
 from app.settings import Options
@@ -70,7 +70,7 @@ def run(
         ValueError: an unusable mesh or setting.
     """
     about = machine()
-    prefer_this_process()
+    raise_process_priority()
     with ExitStack() as stack:
         path, unit, name = _mesh(options, stack, say)
         wanted = Options(

@@ -50,7 +50,7 @@ def run(
     smallest = vf.Surface.from_arrays(rungs[min(rungs)][0] + shift, rungs[min(rungs)][1])
     route = routes.plan(smallest, arm)
     say("driving the route")
-    points, problems = _met(surface, arm, route, options.queries)
+    points, problems = _route_samples(surface, arm, route, options.queries)
     bodies = Bodies.of(surface, points)
     held = Holders(bodies, say)
 
@@ -168,7 +168,7 @@ def _timed(peer: Peer, asked: Sequence[int]) -> list[float]:
     return times
 
 
-def _met(
+def _route_samples(
     surface: vf.Surface, arm: robots.Arm, route: routes.Route, count: int
 ) -> tuple[FloatArray, list[solvers.Problem]]:
     """Positions (count, 3) of the tool on the route, and the QPs in contact."""

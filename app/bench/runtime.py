@@ -56,7 +56,7 @@ class Cell:
     radii: list[float] = field(default_factory=list)
     tips: list[FloatArray] = field(default_factory=list)
 
-    def even(self) -> None:
+    def truncate(self) -> None:
         """Remove the incomplete samples of an interrupted tick."""
         columns: tuple[list[Any], ...] = (
             self.total, self.parts, self.planes, self.states, self.radii, self.tips,
@@ -94,7 +94,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
     surfaces, builds = [], []
     for size, (vertices, faces) in rungs.items():
         say(f"building the surface of {size:,} triangles")
-        surface, build = _built(vertices + shift, faces)
+        surface, build = _timed(vertices + shift, faces)
         surfaces.append(surface)
         builds.append({"triangles": size, **build})
     say("planning the route")
@@ -113,16 +113,17 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         for rule in options.rules
         for surface in surfaces
     ]
-    for cell in cells:
-        cell.spots = _affordable(cell, route, options)
+    floor = _out_of_reach(arm)
+    for cell in (*cells, floor):
+        cell.spots = _spots_in_budget(cell, route, options)
     done = 0
     whole = True
     try:
         for number in range(options.passes):
             say(f"pass {number + 1} of {options.passes}")
             for spot in range(len(route.starts)):
-                # All rows at one spot, in alternating order: a change of load affects all alike.
-                for cell in cells[:: 1 if spot % 2 == 0 else -1]:
+                # All rows at one spot, every other time backwards: a change of load meets all.
+                for cell in (floor, *cells)[:: 1 if spot % 2 == 0 else -1]:
                     if spot < cell.spots:
                         drive(cell, route, spot)
                 done += 1
@@ -131,10 +132,11 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         if done == 0:
             raise  # some rows have no samples yet
         whole = False
-        for cell in cells:
-            cell.even()
+        for cell in (*cells, floor):
+            cell.truncate()
     say("timing single stages")
     rows = [summary(cell) for cell in cells]
+    low, median, high = percentiles(np.array(floor.total) * 1e6)
     return {
         "what": "vf-sandbox bench runtime",
         "source": shape.name,
@@ -150,12 +152,21 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         },
         "builds": builds,
         "rows": rows,
+        "floor [us]": {"p1": low, "median": median, "p99": high},
         "ratios": ratios(rows),
         "interrupted": not whole,
     }  # fmt: skip
 
 
-def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, dict[str, Any]]:
+def _out_of_reach(arm: robots.Arm) -> Cell:
+    """A scene whose only triangle is nowhere near: what a tick takes that meets nothing."""
+    far = np.array([[9.0, 9.0, 9.0], [9.1, 9.0, 9.0], [9.0, 9.1, 9.0]])  # [m]
+    surface = vf.Surface.from_arrays(far, [[0, 1, 2]])
+    controller = vf.Controller(arm, [vf.MeshFixture(surface)])
+    return Cell("certified", controller.fixtures[0].radius, 1, 3, controller, surface)
+
+
+def _timed(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, dict[str, Any]]:
     """A surface, and the time of each stage of its construction."""
     marks: list[tuple[str, float]] = []
     started = perf_counter()
@@ -179,7 +190,7 @@ def _built(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[vf.Surface, 
     }
 
 
-def _affordable(cell: Cell, route: routes.Route, options: Runtime) -> int:
+def _spots_in_budget(cell: Cell, route: routes.Route, options: Runtime) -> int:
     """Number of spots that fit in the budget, estimated at the first two, which also warms up."""
     pilot = replace(cell, total=[], parts=[], planes=[], states=[], radii=[], tips=[])
     pilot.statuses = Counter()

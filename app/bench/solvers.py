@@ -54,9 +54,8 @@ def problem(
     x = T.translation
     d = np.empty(6)
     d[:3] = target.translation - x
-    turn = np.empty(3)
-    rotation_log(np.ascontiguousarray(target.rotation @ T.rotation.T), turn)
-    d[3:] = settings.rotation_length * turn
+    turn = rotation_log(*(target.rotation @ T.rotation.T).ravel())
+    d[3:] = settings.rotation_length * np.array(turn)
     for part in (d[:3], d[3:]):
         length = float(np.linalg.norm(part))
         if length > step.planes.radius:

@@ -101,7 +101,7 @@ def answer(program: str, work: Callable[[], int]) -> int:
     try:
         return work()
     except BrokenPipeError:
-        raise  # handled by `console.closing`
+        raise  # handled by `console.flushed_output`
     except SystemExit as end:  # after help or a usage error
         return end.code if isinstance(end.code, int) else USAGE_ERROR
     except MemoryError:

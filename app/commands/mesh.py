@@ -67,7 +67,7 @@ class Check(Checked):
 class Repair(Checked):
     """Weld, drop what is no face, turn what is wound wrongly; nothing is moved, no hole filled.
 
-    Exit code 0: written; 1: written, but something could not be mended; 2: nothing written."""
+    Exit code 0: written; 1: written, but something could not be repaired; 2: nothing written."""
 
     mesh: str = option(
         File(), about="Path of a mesh file of any format that is read.", positional=True
@@ -180,7 +180,7 @@ def examined(
     return report, found.unit, found.frame, notes
 
 
-def mended(
+def repaired(
     options: Repair, progress: Callable[[str], None]
 ) -> tuple[Changes, int, str, str | None, list[str]]:
     """Repair a mesh and write it: changes, remaining triangles, unit, frame, and notes."""
@@ -281,7 +281,7 @@ def _repair(options: Repair) -> int:
 
     check_writable(options.out, options.overwrite)
     frames.chosen(options.write_frame)
-    changes, triangles, unit, frame, _ = _run(options.mesh, partial(mended, options))
+    changes, triangles, unit, frame, _ = _run(options.mesh, partial(repaired, options))
     console = new_console()
     for line in changes.lines() or ("nothing to mend",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)

@@ -208,7 +208,7 @@ class Engine:
             return False
         if orders.resets != self._resets:
             self._resets = orders.resets
-            self._go(_frozen(new.q0))
+            self._move_to(_frozen(new.q0))
             self._autopilot_since = None
         elif new.scene != old.scene:
             self._measure()
@@ -216,7 +216,7 @@ class Engine:
             if not stays or not is_free(
                 new.surface, new.arm.tip(self._q).translation, new.clearance
             ):
-                self._go(_frozen(new.q0))
+                self._move_to(_frozen(new.q0))
             self._autopilot_since = None
         self._plant = new
         self._tip = new.arm.tip(self._q)
@@ -232,7 +232,7 @@ class Engine:
             self._q = _frozen(q)
             self._tip = self._plant.arm.tip(self._q)
 
-    def _go(self, q: NDArray[np.float64]) -> None:
+    def _move_to(self, q: NDArray[np.float64]) -> None:
         self._q = q
         self._arm.servo(q)
 
@@ -256,7 +256,7 @@ class Engine:
         except Exception:
             self._fail()
             return
-        self._go(_frozen(step.q))
+        self._move_to(_frozen(step.q))
         self._step = step
         self._tip = step.tip
 

@@ -286,7 +286,7 @@ def _switch_interval(cost: float, cores: int | None = None) -> float:
     return min(max(SWITCH_INTERVAL, factor * cost), LONGEST_INTERVAL)
 
 
-def prefer_this_process() -> None:
+def raise_process_priority() -> None:
     """Raise this process's scheduling priority, where the system permits it.
 
     Call it before other threads are started: they inherit it. The control thread's own priority is
@@ -310,10 +310,10 @@ def _request_realtime() -> None:
     PR_SET_TIMERSLACK = 29
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1000), 0, 0, 0)
-    prefer_this_thread(CONTROL_PRIORITY)
+    raise_thread_priority(CONTROL_PRIORITY)
 
 
-def prefer_this_thread(priority: int) -> None:
+def raise_thread_priority(priority: int) -> None:
     """Schedule the calling thread in real time if the system permits it, else raise its priority.
 
     Threads and processes that it starts do not inherit real-time scheduling.

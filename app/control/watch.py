@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.control.engine import Orders
-from app.control.loop import VIEW_PRIORITY, prefer_this_thread
+from app.control.loop import VIEW_PRIORITY, raise_thread_priority
 from app.control.messages import Telemetry
 from app.judges.meeting import first_meeting
 
@@ -135,7 +135,7 @@ class Watch:
 
     def _run(self) -> None:
         # Like the page's threads, it must not be preempted while it holds the interpreter lock.
-        prefer_this_thread(VIEW_PRIORITY)
+        raise_thread_priority(VIEW_PRIORITY)
         while not self._stop.wait(PERIOD):
             try:
                 self.look()

@@ -33,14 +33,14 @@ def _count_crossings(
     return int(count) + sum(exact.meets(a, b, triangle) for triangle in corners)
 
 
-def scrapes(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float) -> int:
+def overlaps(surface: vf.Surface, a: FloatArray, b: FloatArray, tip_radius: float) -> int:
     """Number of triangles that a ball of `tip_radius` [m] overlaps between a and b (3,).
 
     Overlaps of at most `OVERLAP_TOLERANCE` do not count.
     """
     near = boxes.near(boxes.of(surface), a, b, tip_radius)
     room = tip_radius - OVERLAP_TOLERANCE
-    return int(_count_scrapes(surface.vertices, surface.faces, near, a, b, room))
+    return int(_count_overlaps(surface.vertices, surface.faces, near, a, b, room))
 
 
 def leaks(
@@ -244,7 +244,7 @@ def _cut(vertices, faces, rows, a, b, doubtful):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _count_scrapes(vertices, faces, rows, a, b, room):  # type: ignore[no-untyped-def]
+def _count_overlaps(vertices, faces, rows, a, b, room):  # type: ignore[no-untyped-def]
     count = 0
     for i in rows:
         f = faces[i]

@@ -123,7 +123,7 @@ def build(
         scene = scenes.build(options, version, progress, warm)
     except meshes.UnitNeeded:
         # Older recordings have no unit, as it was guessed: the checksum identifies it.
-        found = _in_some_unit(options, noted.checksum, version, progress, warm)
+        found = _with_matching_unit(options, noted.checksum, version, progress, warm)
         if found is None:
             raise
         scene = found
@@ -141,7 +141,7 @@ def build(
     return scene
 
 
-def _in_some_unit(
+def _with_matching_unit(
     options: Options, checksum: str, version: int, progress: Progress | None, warm: bool
 ) -> Scene | None:
     """The scene of this mesh in the unit that gives this checksum, if there is one."""

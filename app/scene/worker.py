@@ -74,7 +74,7 @@ def allowance(mesh: str) -> Allowance:
     except (OSError, ValueError):
         size = 0  # reading the file raises the error
     seconds = 300.0 if known else 60.0 + 2e-6 * size
-    return Allowance(seconds, min(3e9 + 20.0 * size, 0.75 * _spare()))
+    return Allowance(seconds, min(3e9 + 20.0 * size, 0.75 * _available_memory()))
 
 
 class Stop:
@@ -304,7 +304,7 @@ def _ending(code: int) -> str:
     return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
 
 
-def _spare() -> float:
+def _available_memory() -> float:
     """Available memory of the machine, or of its container [byte]; inf: unknown."""
     spare = np.inf
     with contextlib.suppress(OSError, ValueError, StopIteration):
@@ -357,7 +357,7 @@ def _main() -> None:
                     f"the work on the mesh needs more than the {allowed.memory / 1e9:.2g} GB of "
                     "memory that a mesh file of this size may have"
                 )
-            _send(stream, "failed", _portable(error))
+            _send(stream, "failed", _picklable(error))
         else:
             _send(stream, "done", result)
     except BrokenPipeError:
@@ -377,7 +377,7 @@ def _out_of_memory(error: BaseException | None) -> bool:
     return False
 
 
-def _portable(error: Exception) -> Exception:
+def _picklable(error: Exception) -> Exception:
     """The error without its causes if it can be pickled, else a ValueError with its message."""
     try:
         copy = pickle.loads(pickle.dumps(error))

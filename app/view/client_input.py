@@ -13,7 +13,7 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
-from app.control.loop import VIEW_PRIORITY, prefer_this_thread
+from app.control.loop import VIEW_PRIORITY, raise_thread_priority
 from app.refused import Refused
 from app.session import Session
 from app.view import client_names
@@ -43,7 +43,7 @@ class ClientInput:
         self._notify = notify
         # Session methods may wait for a lock; the event loop must not. One worker keeps the order.
         self._worker = ThreadPoolExecutor(
-            1, "input", initializer=prefer_this_thread, initargs=(VIEW_PRIORITY,)
+            1, "input", initializer=raise_thread_priority, initargs=(VIEW_PRIORITY,)
         )
         self._owner: int | None = None  # written by the worker only
         self._shown: pin.SE3 | None = session.handle  # of the gizmo on the pages; None: unknown

@@ -13,7 +13,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.control.loop import VIEW_PRIORITY, prefer_this_thread
+from app.control.loop import VIEW_PRIORITY, raise_thread_priority
 from app.recording.playback import Moment
 from app.scenarios.file import Scenario
 from app.scene.library import Library
@@ -163,7 +163,7 @@ class Page:
         self._stop = threading.Event()
         # Raised priority for the server's and the view thread: if one of them is preempted by the
         # browser's rendering while it holds the GIL, the control thread waits as well.
-        self._server.get_event_loop().call_soon_threadsafe(prefer_this_thread, VIEW_PRIORITY)
+        self._server.get_event_loop().call_soon_threadsafe(raise_thread_priority, VIEW_PRIORITY)
         self._thread = threading.Thread(target=self._run, name="view", daemon=True)
         self._thread.start()
 
@@ -232,7 +232,7 @@ class Page:
             self._server.stop()
 
     def _run(self) -> None:
-        prefer_this_thread(VIEW_PRIORITY)
+        raise_thread_priority(VIEW_PRIORITY)
         due = began = time.monotonic()
         while not self._stop.is_set():
             self._stop.wait(MIN_PAUSE)

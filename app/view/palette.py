@@ -101,7 +101,7 @@ STATUS_HELP: dict[vf.Status, str] = {
 SOLVER_HELP: dict[Solver, str] = {
     Solver.FREE: "no plane in the way",
     Solver.PROJECTED: "one plane, direct",
-    Solver.SOLVED: "solved by OSQP",
+    Solver.SOLVED: "several planes",
     Solver.NOT_CONVERGED: "not converged",
     Solver.INFEASIBLE: "no step allowed",
     Solver.IDLE: "not asked",

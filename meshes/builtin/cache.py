@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
+from meshes.atomic import replacing
 from meshes.builtin.shapes import Arrays
 
 RECIPES = 1
@@ -68,15 +67,7 @@ def _read(file: Path) -> Arrays | None:
 
 
 def _write(file: Path, arrays: Arrays) -> None:
-    """Write a temporary file and move it into place, for concurrent readers."""
     file.parent.mkdir(parents=True, exist_ok=True)
     vertices, faces = arrays
-    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".npz")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(stream, vertices=vertices, faces=faces.astype(np.int32))
-        os.replace(temporary, file)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
+    with replacing(file) as stream:
+        np.savez(stream, vertices=vertices, faces=faces.astype(np.int32))

@@ -161,7 +161,7 @@ def _decimated(mesh: Arrays, size: int) -> Arrays:
     if not size - 2 <= len(triangles) <= size:
         raise MeshError(
             f"decimating {len(faces):,} triangles to {size:,} left {len(triangles):,}: "
-            "the ladder wants a closed manifold shape (meshes with holes are repaired elsewhere)"
+            "a closed manifold shape is needed"
         )
     return np.asarray(points, dtype=np.float64) * 1e-3, np.asarray(triangles, dtype=np.int64)
 

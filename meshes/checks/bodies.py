@@ -33,7 +33,7 @@ class Bodies:
             non-manifold edges.
         inside_out: ``(k,)`` bodies to be turned: outermost ones of negative volume that no open
             shell encloses, and all bodies in them. An inner body keeps its winding relative to the
-            outer one, which tells a cavity from a separate body.
+            outer one, which distinguishes a cavity from a separate body.
         along: ``(patches,)`` open patches of the `Topology` in a body to be turned, turned with it.
         enclosed: volume [m³] where the winding numbers of the closed bodies do not sum to zero:
             cavities are subtracted, overlaps counted once. Never negative.

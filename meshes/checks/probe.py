@@ -169,7 +169,7 @@ def walls(
     """Thickness [m] of the wall below each face of ``rows``, inf where there is none.
 
     From the face's middle inwards (against its normal) to the first face that shares no corner
-    with it. If that one looks the other way, within 30° of opposite, the two make a wall.
+    with it. If its normal is opposite within 30°, the two faces are a wall.
 
     Args:
         corners, tree: as for `intersections`.

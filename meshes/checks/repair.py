@@ -32,7 +32,7 @@ class Changes:
         degenerate, duplicates: faces dropped.
         unused: vertices dropped because no face uses them.
         flipped: faces turned to agree with their patch.
-        turned_bodies: closed bodies turned as a whole, to look outwards.
+        turned_bodies: closed bodies turned as a whole, to face outwards.
         turned_patches: open patches turned as a whole, by ``flip`` or with the enclosing body.
         left: defects that remain, a line each.
     """

@@ -183,13 +183,13 @@ def _walk(faces, opposite, patches, turned):  # type: ignore[no-untyped-def]
                 other = g // 3
                 # Two faces wound alike walk their edge in opposite directions.
                 alike = faces[f, k] != faces[other, g % 3]
-                want = turned[f] if alike else not turned[f]
+                expected = turned[f] if alike else not turned[f]
                 if patches[other] < 0:
                     patches[other] = count
-                    turned[other] = want
+                    turned[other] = expected
                     queue[tail] = other
                     tail += 1
-                elif turned[other] != want:
+                elif turned[other] != expected:
                     twisted[h] = True
         count += 1
     return count, np.flatnonzero(twisted)

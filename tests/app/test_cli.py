@@ -359,7 +359,7 @@ ANNOUNCED = """
 import sys
 from app import interrupts
 from app.__main__ import main
-interrupts.arm()
+interrupts.install()
 print("armed", flush=True)
 sys.argv[0] = "vf-sandbox"
 sys.exit(main())

@@ -55,7 +55,7 @@ def test_half_a_turn_about_z_and_back_is_exact() -> None:
     [
         ("SPACE=LAS", "says SPACE=LAS: only RAS and LPS are read"),
         ("space = rai", "says SPACE=RAI: only RAS and LPS are read"),
-        ("SPACE=LPS SPACE=LAS", "says SPACE=LPS and SPACE=LAS: which"),
+        ("SPACE=LPS SPACE=LAS", "says SPACE=LPS and SPACE=LAS: only one frame"),
     ],
 )
 def test_a_frame_that_is_not_read_is_refused_by_name(

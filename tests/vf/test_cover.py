@@ -357,14 +357,14 @@ def test_bad_input_is_refused_by_its_value(change, word):
 def test_the_queue_gives_the_nearest_first_whatever_comes_and_goes():
     """Against heapq, with ties, from empty to some hundred entries and back."""
     rng = np.random.default_rng(3)
-    queue = np.full((512, 2), np.nan)
+    queue = np.full((512, 3), np.nan)
     expected: list[tuple[float, int]] = []
     size = 0
     for turn in range(5_000):
         growing = turn % 1000 < 500
         if size == 0 or (size < 500 and rng.random() < (0.7 if growing else 0.3)):
             key = float(rng.integers(50))
-            cover._push(queue, size, key, turn)
+            cover._push(queue, size, key, turn, float(turn))
             heapq.heappush(expected, (key, turn))
             size += 1
         else:
@@ -374,4 +374,5 @@ def test_the_queue_gives_the_nearest_first_whatever_comes_and_goes():
             assert key == expected[0][0]
             expected.remove((key, item))
             heapq.heapify(expected)
-        assert sorted(map(tuple, queue[:size].tolist())) == sorted(expected)
+        assert sorted(map(tuple, queue[:size, :2].tolist())) == sorted(expected)
+        assert (queue[:size, 1] == queue[:size, 2]).all()  # what belongs together stays together

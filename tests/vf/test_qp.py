@@ -15,13 +15,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
 
 import robots
 import vf
 from vf import ConstrainedLeastSquares, Solver
+from vf.solver import backend
 
 ROOT = Path(__file__).parents[2]
 UM = 1e-6
@@ -385,29 +385,45 @@ def test_a_solver_that_is_not_installed_says_what_to_install(monkeypatch) -> Non
         ConstrainedLeastSquares(3, solver="daqp")
 
 
-def test_ticks_end_at_the_same_place_whichever_solver_settles_them() -> None:
-    """Down into a pit with three walls, where solvers are asked; they differ by tolerances only."""
-    arm = robots.load("psm")
-    tip = arm.tip(arm.neutral)
-    rim = [[0.02 * np.cos(a), 0.02 * np.sin(a), 0.0] for a in (0.1, 2.2, 4.3)]
-    pit = np.array([[0.0, 0.0, -0.02], *rim]) + tip.translation + [0.0, 0.0, 5e-3]
-    surface = vf.Surface.from_arrays(pit, [[0, 1, 2], [0, 2, 3], [0, 3, 1]])
-    rng = np.random.default_rng(3)
-    goals = pit[0] + [0.0, 0.0, -0.01] + rng.uniform(-8e-3, 8e-3, (6, 3))
-    ends = []
-    for solver in vf.SOLVERS:
-        controller = vf.Controller(arm, [vf.MeshFixture(surface)], vf.Settings(solver=solver))
-        q = arm.neutral
-        asked = 0
-        tips = []
-        for goal in goals:
-            target = pin.SE3(tip.rotation, goal)
-            for _ in range(150):
-                step = controller.step(q, target)
-                q = step.q
-                asked += step.solver is Solver.SOLVED
-                assert step.status is vf.Status.SOLVED
-            tips.append(step.tip.translation)
-        assert asked > 300, solver
-        ends.append(np.array(tips))
-    assert np.abs(ends[0] - ends[1]).max() < 2 * UM
+def nearest(best: np.ndarray, rows: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """The point of a polyhedron nearest to u*, by least distance programming."""
+    E = np.vstack([rows.T, (bounds - rows @ best)[None]])
+    f = np.zeros(len(best) + 1)
+    f[-1] = 1.0
+    y, _norm = nnls(E, f, maxiter=100 * E.shape[1])
+    r = E @ y - f
+    return best - r[:-1] / r[-1]
+
+
+@pytest.mark.parametrize("n", [3, 6, 7])
+@pytest.mark.parametrize("k", [1, 5, 12, 60])
+def test_every_solver_projects_on_polyhedra(kind, n, k):
+    """By itself, without the shortcuts that settle most ticks: within its tolerance."""
+    rng = np.random.default_rng(10 * n + k)
+    solver = backend(kind, n, 64)
+    solved = 0
+    for _ in range(20):
+        rows = rng.normal(size=(k, n))
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        bounds, best = -rng.exponential(0.3, k), rng.normal(size=n)
+        if (rows @ best >= bounds).all():
+            continue
+        code, u, duals, iterations = solver.solve(best.copy(), rows.copy(), bounds.copy())
+        assert iterations > 0
+        assert code in (Solver.SOLVED, Solver.NOT_CONVERGED)
+        if code is Solver.SOLVED:
+            solved += 1
+            assert np.abs(u - nearest(best, rows, bounds)).max() < 2e-3  # [mm]
+            assert (duals < 1e-3).all()
+            assert np.abs(best - duals @ rows - u).max() < 2e-3  # stationary
+    assert solved >= 5
+
+
+def test_every_solver_says_that_nothing_obeys_opposing_rows(kind):
+    solver = backend(kind, 3, 64)
+    rows, bounds = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), np.array([1.0, 1.0])
+    code = solver.solve(np.zeros(3), rows, bounds)[0]
+    assert code in (Solver.INFEASIBLE, Solver.NOT_CONVERGED)
+    code, u, _duals, _iterations = solver.solve(np.zeros(3), rows[:1].copy(), bounds[:1].copy())
+    assert code is Solver.SOLVED
+    assert np.abs(u - [1.0, 0.0, 0.0]).max() < 1e-3

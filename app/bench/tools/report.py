@@ -85,6 +85,11 @@ def runtime(result: dict[str, Any], console: Console) -> None:
         labels=3,
         title="The same by contact state: share of the ticks, median in µs",
     )
+    floor = result["floor [us]"]
+    console.print(
+        f"a tick that meets nothing: {floor['median']:.1f} µs "
+        f"(p1 {floor['p1']:.1f}, p99 {floor['p99']:.0f})"
+    )
     for ratio in result["ratios"]:
         bare = ratio.get("without inside test")
         console.print(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from app.studies.experiments import cutting, site, smoothness
-from app.studies.experiments.follower import FaultlessArm
+from app.studies.experiments.follower import IdealArm
 from app.studies.experiments.operators import Operator
 from app.studies.experiments.trial import perform
 from app.studies.results import published
@@ -72,7 +72,7 @@ def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
     for number in range(trials):
         rng = np.random.default_rng(np.random.SeedSequence((seed, number)))
         cut = perform(
-            operator, planned, start, FaultlessArm(), assisted=False,
+            operator, planned, start, IdealArm(), assisted=False,
             stroke=operator.stroke, rate=CUTTING_RATE, rng=rng,
         )  # fmt: skip
         shape = cutting.kerf(planned, cut.tips)
@@ -82,7 +82,7 @@ def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
         if number >= TRACES:
             continue
         trace = perform(
-            operator, planned, start, FaultlessArm(), assisted=False,
+            operator, planned, start, IdealArm(), assisted=False,
             stroke=operator.tracing_stroke, rate=TRACING_RATE, rng=rng,
         )  # fmt: skip
         every = round(TRACING_RATE / 100.0)

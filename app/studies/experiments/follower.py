@@ -25,7 +25,7 @@ class Follower(Protocol):
         ...
 
 
-class FaultlessArm:
+class IdealArm:
     """Ideal tracking: plain teleoperation without speed limits, for calibration."""
 
     def __call__(self, goals: FloatArray) -> FloatArray:

@@ -64,7 +64,7 @@ def perform(
         rate: ticks per second [Hz].
         rng: not shared with other trials.
     """
-    eye = _Eye(operator, planned, rng)
+    eye = _Perception(operator, planned, rng)
     tremor = Tremor(operator.tremor * operator.scale, rate, rng)
     moving = max(round(operator.movement_time * rate), 1)
     waiting = max(round(operator.visual_delay * rate), 1)
@@ -101,7 +101,7 @@ def perform(
     )
 
 
-class _Eye:
+class _Perception:
     """The operator's perception, and the hand movement that follows from it."""
 
     def __init__(self, operator: Operator, planned: PlannedCut, rng: np.random.Generator) -> None:

@@ -103,7 +103,7 @@ def drive(
         dt=scene.period, standoff=max(scene.standoff, 4.0 * bound), tip_radius=tip_radius
     )
     while result.ticks < steps:
-        q = _some_pose(arm, rng)
+        q = _random_joints(arm, rng)
         tip = arm.tip(q)
         around = scenes.Surroundings(
             scene,
@@ -120,13 +120,13 @@ def drive(
             step = controller.step(q, next(hand))
             q = _actuate(arm, step.q, bound, rng) if bound else step.q
             tools[0] = arm.tip(q)
-            crossed |= _judge(result, around, step, _way(arm, before, q), rng, crossed)
+            crossed |= _judge(result, around, step, _tip_positions(arm, before, q), rng, crossed)
             result.ticks += 1
         progress(length)
     return result
 
 
-def _way(arm: robots.Arm, q: FloatArray, q_new: FloatArray) -> list[FloatArray]:
+def _tip_positions(arm: robots.Arm, q: FloatArray, q_new: FloatArray) -> list[FloatArray]:
     """Tip positions (3,) at `MARKS` of a uniform joint motion from q to q_new (n,)."""
     if (q_new == q).all():
         return [arm.tip(q).translation.copy()]
@@ -169,7 +169,7 @@ def _judge(
     return crossed
 
 
-def _some_pose(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
+def _random_joints(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
     """Random joint positions; a third of them with some joints exactly at their limits."""
     share = rng.uniform(0.02, 0.98, len(arm.lower))
     if rng.random() < 1.0 / 3.0:

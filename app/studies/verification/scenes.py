@@ -95,7 +95,7 @@ class Surroundings:
         count = 0
         for surface in self.surfaces:
             if self.tip_radius:
-                count += oracles.scrapes(surface, a, b, self.tip_radius)
+                count += oracles.overlaps(surface, a, b, self.tip_radius)
             else:
                 count += oracles.crossings(surface, a, b)
         if len(self._path):

@@ -127,6 +127,9 @@ def test_runtime_reports_every_row_and_its_parts(tmp_path: Path) -> None:
         assert sum(row["statuses"].values()) == row["ticks"]
         assert row["statuses"].get("refused", 0) == 0
     assert len(result["ratios"]) == 4 + 2
+    floor = result["floor [us]"]
+    assert 0.0 < floor["p1"] <= floor["median"] <= floor["p99"]
+    assert floor["p1"] < min(row["tick [us]"]["median"] for row in rows)
     stored = json.loads(write(tmp_path, "runtime", result).read_text())
     assert len(stored["rows"]) == len(rows)
 
@@ -238,7 +241,7 @@ def test_the_reference_qp_is_the_optimum_of_a_general_solver() -> None:
 
 def test_every_installed_solver_agrees_and_a_wrong_one_is_caught(small: vf.Surface) -> None:
     arm = robots.load("psm")
-    _, problems = peers._met(small, arm, routes.plan(small, arm, spots=2), 12)
+    _, problems = peers._route_samples(small, arm, routes.plan(small, arm, spots=2), 12)
     assert problems
     every = list(range(len(problems)))
     for peer in solvers.peers(problems, {}):
@@ -389,7 +392,7 @@ def test_a_drag_is_measured_in_a_window_as_people_have_one_and_says_in_which() -
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        latency._attend(Browser(), "http://127.0.0.1:1")
+        latency._serve_requests(Browser(), "http://127.0.0.1:1")
     assert opened == [{"viewport": WINDOW, "device_scale_factor": 1.0}]
     loop = {"rate [Hz]": 1000.0, "punctual": 0.999, "late [us]": {"p99": 50.0}}
     result = {

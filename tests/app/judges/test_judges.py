@@ -119,7 +119,7 @@ def test_the_oracles_do_not_look_at_the_tree(broken: Callable[[pdtree.Tree], Non
             answers.append(
                 (
                     oracles.crossings(one, a, b),
-                    oracles.scrapes(one, a, b, 5e-4),
+                    oracles.overlaps(one, a, b, 5e-4),
                     oracles.leaks(one, few, a, 2e-3),
                     *oracles.blocked(one, few, a, 2e-3, np.random.default_rng(k), 8),
                     not sees(one, a, b),

@@ -202,7 +202,7 @@ def test_a_ball_scrapes_what_it_comes_nearer_than_its_radius():
         if abs(gap - tip_radius) < 2 * oracles.OVERLAP_TOLERANCE:
             continue
         truth = gap < tip_radius
-        assert (oracles.scrapes(one(triangle), a, b, tip_radius) > 0) == truth
+        assert (oracles.overlaps(one(triangle), a, b, tip_radius) > 0) == truth
         found += truth
     assert 40 < found < 220
 

@@ -56,7 +56,9 @@ def test_every_tick_of_a_kept_recording_repeats_to_rounding(path: Path) -> None:
         step = plant.controller.step(began, target)
         assert np.abs(step.q - recording.joints(k)).max() <= JOINT, k
         assert (step.status, step.solver) == (row["status"], row["solver"]), k
-        assert len(step.planes) == row["planes"], k
+        # Of the rules that take every triangle of the ball, one at its very rim may come or go.
+        rim = 2 if plant.options.rule in ("paper", "all") else 0
+        assert abs(len(step.planes) - int(row["planes"])) <= rim, k
         assert np.abs(step.tip.translation - row["tip"]).max() <= LENGTH, k
         assert np.abs(step.force - row["force"]).max() <= 1e3 * LENGTH, k  # [N], at 150 N/m
         assert step.radius == pytest.approx(row["radius"], rel=1e-9), k

@@ -163,7 +163,7 @@ def test_it_can_be_stopped_while_it_works_and_before(work: ModuleType) -> None:
 def test_an_allowance_goes_with_the_files_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker, "_spare", lambda: 4e12)
+    monkeypatch.setattr(worker, "_available_memory", lambda: 4e12)
     sizes = (421, 1_000_000, 500_000_000)
     found = []
     for size in sizes:
@@ -173,7 +173,7 @@ def test_an_allowance_goes_with_the_files_size(
         found.append(worker.allowance(str(path)))
     assert found[1].seconds < 65.0  # no minutes for a megabyte
     assert found[0].memory < found[1].memory < found[2].memory
-    monkeypatch.setattr(worker, "_spare", lambda: 1e9)
+    monkeypatch.setattr(worker, "_available_memory", lambda: 1e9)
     assert {worker.allowance(str(path)).memory for _ in sizes} == {7.5e8}
 
 
