@@ -205,10 +205,15 @@ def test_a_drag_ends_when_a_replay_begins_and_nothing_that_is_sent_reaches_the_s
         ("Proxy", "Recall to tool"), ("Set-up", "Load"),
     ):  # fmt: skip
         use(label, value)
-    # Messages are taken in their order: once this one is, the hand has all of those before it.
-    use("Speed", "1/4")
     speed = next(c for c in controls.values() if getattr(c, "label", None) == "Speed")
-    wait_until(lambda: speed.value == "1/4", "all of it to arrive")
+
+    def arrived() -> bool:
+        # Again and again: when a replay's controls appear, their speed is set to 1.
+        use("Speed", "1/4")
+        return bool(speed.value == "1/4")
+
+    # Messages are taken in their order: once this one is, the hand has all of those before it.
+    wait_until(arrived, "all of it to arrive")
     done = threading.Event()
     page._input.submit(done.set)
     assert done.wait(20.0)
