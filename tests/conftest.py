@@ -11,24 +11,11 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
+from tests.support.smoke import SMOKE
+
 # How long an example takes says how busy the machine is.
 hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
-
-
-ROOT = Path(__file__).parents[1]
-# `-m smoke`: a part of every layer, in half a minute. Other files are not even imported for it.
-SMOKE = {
-    ROOT / "tests" / name
-    for name in (
-        "test_examples.py", "test_layers.py", "test_project.py",
-        "vf/test_closest.py", "vf/test_conditions.py", "vf/test_haptics.py", "vf/test_planes.py",
-        "vf/test_qp.py", "vf/test_selftest.py", "vf/test_types.py",
-        "robots/test_psm.py", "meshes/test_formats.py", "meshes/test_units.py",
-        "app/control/test_engine.py", "app/control/test_mailbox.py", "app/test_settings.py",
-        "app/control/test_teleoperation.py",
-    )
-}  # fmt: skip
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import vf
-from tests.conftest import SMOKE
+from tests.support.smoke import SMOKE
 
 ROOT = Path(__file__).parents[1]
 

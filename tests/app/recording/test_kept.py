@@ -44,7 +44,7 @@ def test_every_tick_of_a_kept_recording_repeats_to_rounding(path: Path) -> None:
     rows, orders = recording.rows, recording.orders
     assert recording.cut == ""
     assert np.mean(rows["planes"] > 0) > 0.25  # not only free space
-    room = {place: build(recording, place, 1) for place in {place for place, _ in recording.plants}}
+    room = {place: build(recording.places[place], 1) for place in {p for p, _ in recording.plants}}
     plants = [scenes.plant(room[place], options) for place, options in recording.plants]
     resets = recording.orders["resets"][0]
     for k, row in enumerate(rows):
