@@ -84,7 +84,8 @@ def crossed(corners: np.ndarray, x: np.ndarray, ys: np.ndarray) -> np.ndarray:
 def in_box(surface: vf.Surface, a: np.ndarray, b: np.ndarray, margin: float) -> np.ndarray:
     """Corners (m, 3, 3) of the triangles whose box comes within `margin` [m] of that of ab (3,)."""
     low, high = np.minimum(a, b) - margin, np.maximum(a, b) + margin
-    corners = surface.vertices[surface.faces]
+    every = naive.brute(surface)
+    corners = every.corners[every.candidates(0.5 * (low + high), 0.5 * np.linalg.norm(high - low))]
     meets = (corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)
     return corners[meets.all(axis=1)]
 

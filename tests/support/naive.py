@@ -142,20 +142,30 @@ def closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 class Brute:
-    """Every triangle of a surface against a point. A ball around each only saves arithmetic."""
+    """Every triangle of a surface against a point.
+
+    A ball around each, and their order along x, only save arithmetic.
+    """
 
     def __init__(self, surface: vf.Surface) -> None:
         self.corners = surface.vertices[surface.faces]
         self.centres = self.corners.mean(axis=1)
         self.radii = np.linalg.norm(self.corners - self.centres[:, None], axis=2).max(axis=1)
+        self._order = np.argsort(self.centres[:, 0])
+        self._along = self.centres[self._order, 0]
 
-    def _candidates(self, x: np.ndarray, radius: float) -> np.ndarray:
-        gap = np.linalg.norm(self.centres - x, axis=1) - self.radii
-        return np.flatnonzero(gap <= radius * 1.001 + 1e-12)
+    def candidates(self, x: np.ndarray, radius: float) -> np.ndarray:
+        """Ids (k,), in rising order, of all triangles within the radius, and of more."""
+        reach = radius * 1.001 + 1e-12
+        slab = reach + self.radii.max()
+        first, last = np.searchsorted(self._along, [x[0] - slab, x[0] + slab])
+        ids = np.sort(self._order[first:last])
+        gap = np.linalg.norm(self.centres[ids] - x, axis=1) - self.radii[ids]
+        return ids[gap <= reach]
 
     def within(self, x: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
         """Ids and distances of the triangles within the radius, nearest first, and a bit more."""
-        ids = self._candidates(x, radius)
+        ids = self.candidates(x, radius)
         _, d = closest(self.corners[ids], x)
         rank = np.argsort(d, kind="stable")
         return ids[rank], d[rank]
