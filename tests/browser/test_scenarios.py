@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -132,6 +133,15 @@ def test_opens_what_was_saved_and_looks_at_it_from_the_same_place(
     wait_until(
         lambda: np.linalg.norm(visitor.client.camera.position - before) > 0.05, "the view to turn"
     )
+    rest: list[np.ndarray] = []
+
+    def at_rest() -> bool:
+        """The camera goes on for a while after the mouse has let go."""
+        rest.append(np.array(visitor.client.camera.position))
+        time.sleep(0.5)
+        return len(rest) > 1 and (rest[-1] == rest[-2]).all()
+
+    wait_until(at_rest, "the view to rest")
     with visitor.tab.expect_download(timeout=60_000) as download:
         visitor.press("Save")
     path = tmp_path / "mine.json"
