@@ -292,7 +292,8 @@ class Controller:
         self._backend = backend(s.solver, n, CAPACITY)
         self._idle = np.zeros(n, dtype=np.int8)
         self._idle.flags.writeable = False
-        self._sent: Step | None = None  # the last tick whose joints could be used
+        # Joints and tip of the last tick whose joints could be used; a tick's record has both.
+        self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
         self._tick = _COMPILED.tick
         self._answers = {
             layout.PLACED: self._place,
@@ -381,7 +382,7 @@ class Controller:
         step = _new_step(Step)
         record = block.report[: block.head + _RECORD * m].tobytes()
         step.__dict__["_left"] = (record, block.n, started)
-        self._sent = step
+        self._sent = record
         return step
 
     def _place(self, q: FloatArray) -> None:
@@ -445,24 +446,24 @@ class Controller:
         )
 
     def _refused(self, q: FloatArray, started: float, T: pin.SE3 | None = None) -> Step:
-        usable = T is not None
         q = q.copy()  # the caller's, who may write to it again
-        if T is None and self._sent is not None:
-            q, T = self._sent.q, pin.SE3(self._sent.tip)
+        if T is not None:
+            self._sent = q, pin.SE3(T)
+        elif isinstance(self._sent, bytes):
+            q, T = _numbers(self._sent, layout.HEAD, self._block.n), _cut_tip(self._sent)
+        elif self._sent is not None:
+            q, T = self._sent[0], pin.SE3(self._sent[1])
         zero = np.zeros(3)
         none = np.zeros(0)
         planes = Planes.none(0.0)
         for array in (q, zero, none, planes.normals, planes.offsets, planes.points):
             array.flags.writeable = False
         elapsed = monotonic() - started
-        step = Step(
+        return Step(
             q, T if T is not None else pin.SE3.Identity(), planes, zero,
             Status.REFUSED, Solver.IDLE, none, 0.0, inf, self._idle,
             Timings(elapsed, 0.0, 0.0, 0.0, elapsed),
         )  # fmt: skip
-        if usable:
-            self._sent = step
-        return step
 
 
 def _check_limits(arm: Kinematics) -> None:
