@@ -197,13 +197,18 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     yield from cases
 
 
-@pytest.mark.parametrize("version", [1, 2])
-@pytest.mark.parametrize(("name", "change", "match"), list(hostile()), ids=lambda x: str(x)[:20])
+@pytest.mark.parametrize(
+    ("version", "change", "match"),
+    [
+        pytest.param(version, change, match, id=f"{version}-{name[:20]}-{match[:20]}")
+        for version in (1, 2)
+        for name, change, match in hostile()
+        if version == 1 or name not in ARCHIVED
+    ],
+)
 def test_a_hostile_file_is_refused_in_one_line(
-    name: str, change: Change, match: str, version: int, sound: Path, tmp_path: Path
+    version: int, change: Change, match: str, sound: Path, tmp_path: Path
 ) -> None:
-    if version == 2 and name in ARCHIVED:
-        pytest.skip("there is no such thing in this version")
     refused(forged(sound, tmp_path, change, version), match)
 
 
