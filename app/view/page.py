@@ -32,11 +32,12 @@ from app.view.inspector import InspectorTab
 from app.view.keys import Keys
 from app.view.labels import Labels
 from app.view.mesh_tab import MeshTab
-from app.view.panel import BANNER, CLIENTS, Panel
+from app.view.panel import BANNER, CLIENTS, RESTART, Panel
 from app.view.part import Part
 from app.view.proxy import Proxy
 from app.view.readout_panel import ReadoutPanel
 from app.view.recorder import RecordTab
+from app.view.restart import Restart
 from app.view.ruler import Rulers
 from app.view.scenarios import ScenarioChoice
 from app.view.section import Section
@@ -148,6 +149,7 @@ class Page:
             self._section,
             self._client_lines,
             left,
+            Restart(server, session, self._input, RESTART),
             panel,
             ScenarioChoice(context),
             Signals(context),
