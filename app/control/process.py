@@ -106,6 +106,8 @@ class Child:
 
     def end(self) -> str:
         """Have it end, by force if it does not; returns why it ended if nobody told it to."""
+        if self.thread is None:
+            self.process.kill()  # it holds nothing yet
         with contextlib.suppress(OSError):
             self.channel.send("close")
         try:
