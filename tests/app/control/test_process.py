@@ -24,6 +24,7 @@ from app.recording.read import read
 from app.refused import Refused
 from app.session import Session
 from app.settings import Options
+from tests.support.controls import controls_of, gone
 from tests.support.headless import moved, wait_until
 
 CUBE = Options(mesh="cube", robot="point")
@@ -42,21 +43,6 @@ def nothing_left_behind() -> Iterator[None]:
     assert set(os.listdir("/dev/shm")) == shm
     gc.collect()  # a session and its parts know each other
     assert len(os.listdir("/proc/self/fd")) <= fds
-
-
-def controls_of(parent: int) -> list[int]:
-    """Numbers of the control processes that a process started, or that it left behind."""
-    found = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit():
-            try:
-                words = (folder / "cmdline").read_bytes().split(b"\0")
-                stat = (folder / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if b"app.control.child" in words and int(stat[1]) == parent:
-                found.append(int(folder.name))
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -275,7 +261,7 @@ def test_a_control_process_that_is_left_alone_holds_and_ends(end: signal.Signals
         wait_until(lambda: cpu(control, thread) > ran, timeout=2.0)  # it ticks
         assert "ended" in page.stderr.read()  # to its end: nobody has the other side any more
         assert 0.5 * HOLD_ALONE < time.monotonic() - began < HOLD_ALONE + 5.0
-    wait_until(lambda: not Path(f"/proc/{control}").exists())
+    wait_until(lambda: gone(control))
     assert set(os.listdir("/dev/shm")) == shm
 
 
