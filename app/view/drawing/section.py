@@ -12,7 +12,7 @@ from trimesh import intersections
 
 from app.recording.playback import Moment
 from app.scene.scene import Scene
-from app.view.anatomy import Anatomy
+from app.view.drawing.anatomy import Anatomy
 from app.view.part import Clients, Part
 from app.view.units import to_view
 from app.view.worker import Worker

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 import vf
 from app.recording.playback import Moment
-from app.view import nodes, palette
+from app.view import palette
 from app.view.camera import DIRECTION
-from app.view.labels import Labels
+from app.view.drawing import nodes
+from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view, turn_z_to
 

@@ -18,11 +18,12 @@ from app.recording.outline import outline
 from app.recording.playback import Moment
 from app.recording.read import read, under_way
 from app.refused import Refused
-from app.view import dialogs, palette
+from app.view import palette
+from app.view.clients.pictures import Pictures
 from app.view.context import PageContext
+from app.view.controls import dialogs
 from app.view.part import Clients, Part
-from app.view.pictures import Pictures
-from app.view.replaying import Replaying
+from app.view.tabs.replaying import Replaying
 
 MAX_RECORDINGS = 50  # in the folder, so that clients cannot fill the disk
 MAX_DOWNLOAD = 200e6  # size of a recording that is sent to a browser [byte]

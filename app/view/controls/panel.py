@@ -20,11 +20,11 @@ from app.scene.library import Library
 from app.session import Session
 from app.settings import DECLARED, number
 from app.view import palette, style
-from app.view.client_input import ClientInput, Notify
-from app.view.escape import EscapeKey
-from app.view.fields import NumberField, show
-from app.view.help import Help
-from app.view.keys import STEPS
+from app.view.clients.client_input import ClientInput, Notify
+from app.view.clients.escape import EscapeKey
+from app.view.controls.fields import NumberField, show
+from app.view.controls.help import Help
+from app.view.controls.keys import STEPS
 from app.view.part import Part
 from app.view.source import Source
 

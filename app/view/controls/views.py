@@ -9,8 +9,8 @@ from typing import Any
 import viser
 
 from app.view import camera, style
-from app.view.client_input import ClientInput
-from app.view.keys import Order
+from app.view.clients.client_input import ClientInput
+from app.view.controls.keys import Order
 
 Look = Callable[[viser.ClientHandle, str], None]
 Layers = dict[str, tuple[bool, Callable[[bool], None]]]

@@ -13,7 +13,7 @@ from app.scene.scene import DEFAULT_WIDTH, Scene, corridor
 from app.settings import number
 from app.view import palette
 from app.view.context import PageContext
-from app.view.fields import NumberField, show
+from app.view.controls.fields import NumberField, show
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 

@@ -6,10 +6,10 @@ import viser
 
 from app.recording.playback import Moment
 from app.session import Session
-from app.view import readouts
-from app.view.measuring import Measuring
 from app.view.part import Part
 from app.view.source import Source
+from app.view.tabs import readouts
+from app.view.tabs.measuring import Measuring
 
 
 class ReadoutPanel(Part):

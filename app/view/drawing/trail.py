@@ -6,7 +6,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.view import nodes, palette
+from app.view import palette
+from app.view.drawing import nodes
 from app.view.units import to_buffer
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.scene.scene import Scene
 from app.view import palette
 from app.view.camera import DIRECTION, site_half_height
-from app.view.labels import Labels
+from app.view.drawing.labels import Labels
 from app.view.part import Part
 from app.view.units import to_buffer, to_view
 

@@ -8,7 +8,7 @@ import viser
 from app.control.watch import Crossing
 from app.recording.playback import Moment
 from app.view import palette
-from app.view.labels import Labels
+from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import to_view
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from app.view.client_input import ClientInput, Notify
+from app.view.clients.client_input import ClientInput, Notify
 
 # A number out of range may be the beginning of one within: it is clamped only so long after the
 # last key [s].

@@ -21,11 +21,13 @@ from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
 from app.scene.scene import Scene
-from app.view import dialogs, health, palette
+from app.view import palette
+from app.view.clients.uploads import Receiver
 from app.view.context import PageContext
+from app.view.controls import dialogs
 from app.view.part import Part
-from app.view.recorder import recordings
-from app.view.uploads import Receiver
+from app.view.tabs import health
+from app.view.tabs.recorder import recordings
 from meshes.units import choices as choices_of
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.session import Session
-from app.view.client_input import ClientInput, Notify
+from app.view.clients.client_input import ClientInput, Notify
 
 FloatArray = NDArray[np.float64]
 Order = Callable[[viser.ClientHandle], object]  # called with the client that gives it

@@ -8,7 +8,7 @@ import viser
 from app.recording.playback import Moment
 from app.scene.scene import Scene
 from app.view import camera
-from app.view.client_input import Notify
+from app.view.clients.client_input import Notify
 from app.view.part import Clients, Part
 from app.view.source import Source
 

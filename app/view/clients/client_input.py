@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from app.control.loop import VIEW_PRIORITY, raise_thread_priority
 from app.refused import Refused
 from app.session import Session
-from app.view import client_names
-from app.view.proxy import Proxy
+from app.view.clients import client_names
+from app.view.drawing.proxy import Proxy
 from app.view.units import pose_from_view, same_pose
 
 log = logging.getLogger(__name__)

@@ -16,10 +16,11 @@ import vf
 from app.control.messages import Telemetry
 from app.recording.playback import Moment
 from app.scene.scene import Scene
-from app.view import palette, trail
+from app.view import palette
 from app.view.context import PageContext
-from app.view.depth import signed_distance
+from app.view.drawing import trail
 from app.view.part import Clients, Part
+from app.view.tabs.depth import signed_distance
 
 FloatArray = NDArray[np.float64]
 

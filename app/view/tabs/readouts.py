@@ -12,8 +12,8 @@ from app.control.messages import Telemetry
 from app.control.watch import Crossing
 from app.settings import Options
 from app.view import palette
-from app.view.depth import Whereabouts
-from app.view.fixture import MIN_PUSH
+from app.view.drawing.fixture import MIN_PUSH
+from app.view.tabs.depth import Whereabouts
 
 _HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
 _NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
@@ -37,7 +37,7 @@ _WATCHDOG = (
 
 @dataclass(frozen=True)
 class Extras:
-    """What `app.view.measuring` adds to the telemetry.
+    """What `app.view.tabs.measuring` adds to the telemetry.
 
     Attributes:
         in_sphere: number of triangles within the motion sphere, enlarged by the tip's radius.

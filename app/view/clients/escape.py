@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from app.view.client_input import ClientInput
+from app.view.clients.client_input import ClientInput
 
 Close = Callable[[], None]
 

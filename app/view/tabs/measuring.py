@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from app.control.messages import Telemetry
 from app.recording.playback import Moment
-from app.view.depth import Whereabouts, whereabouts
-from app.view.readouts import Extras
+from app.view.tabs.depth import Whereabouts, whereabouts
+from app.view.tabs.readouts import Extras
 
 
 class Measuring:

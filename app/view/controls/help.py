@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import viser
 
-from app.view.client_input import ClientInput
-from app.view.escape import EscapeKey
+from app.view.clients.client_input import ClientInput
+from app.view.clients.escape import EscapeKey
 
 KEY: Final = "H"
 

@@ -10,7 +10,8 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.view import nodes, palette
+from app.view import palette
+from app.view.drawing import nodes
 from app.view.palette import Rgb
 from app.view.units import to_buffer
 from meshes import Finding, Health

@@ -20,10 +20,10 @@ from app.scenarios.presets import PRESETS
 from app.scenarios.staging import present, stage
 from app.scene.scene import Scene
 from app.view import camera, palette
+from app.view.clients.uploads import Receiver
 from app.view.context import PageContext
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE
-from app.view.uploads import Receiver
 from app.words import OptionError, format_length
 
 ORDER = -0.5  # in the panel: below the help, above the settings

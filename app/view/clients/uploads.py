@@ -20,7 +20,7 @@ from viser import _messages as wire
 
 import meshes
 from app.files import harmless, size
-from app.view.client_input import Notify
+from app.view.clients.client_input import Notify
 
 log = logging.getLogger(__name__)
 

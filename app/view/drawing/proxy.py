@@ -7,8 +7,9 @@ import pinocchio as pin
 import viser
 
 from app.recording.playback import Moment
-from app.view import nodes, palette
-from app.view.labels import Labels
+from app.view import palette
+from app.view.drawing import nodes
+from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import pose_to_view, to_buffer, to_view
 

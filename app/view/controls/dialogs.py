@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from app.view.escape import EscapeKey
+from app.view.clients.escape import EscapeKey
 
 _closing = threading.Lock()
 _STYLE = (
