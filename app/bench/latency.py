@@ -203,7 +203,7 @@ def show(result: dict[str, Any], console: Any) -> None:
 
 def _arrow(page: Any, box: dict[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Position of the gizmo's x arrow in the window, and one move along it, (2,) each [px]."""
-    from app.view.proxy import GIZMO_SIZE
+    from app.view.drawing.proxy import GIZMO_SIZE
 
     (client,) = page.server.get_clients().values()
     camera = client.camera

@@ -19,13 +19,15 @@ from app.scene import scene as scenes
 from app.scene.outside import shows_fronts_only
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, fields, section
-from app.view.escape import EscapeKey
-from app.view.help import Help
-from app.view.keys import STEPS, Keys, viewer_axes
+from app.view import Page, camera
+from app.view.clients.escape import EscapeKey
+from app.view.controls import fields
+from app.view.controls.help import Help
+from app.view.controls.keys import STEPS, Keys, viewer_axes
+from app.view.controls.views import Views
+from app.view.drawing import section
 from app.view.script import adding, script
 from app.view.units import VIEW_SCALE
-from app.view.views import Views
 from tests.support.headless import wait_until
 
 
