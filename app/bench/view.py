@@ -1,6 +1,6 @@
 """`bench view`: latency from a drag to its display on the page, and the page's frame rate.
 
-The browser runs in a separate process, `-m app.bench.latency URL`, so that driving it does not load
+The browser runs in a separate process, `-m app.bench.view URL`, so that driving it does not load
 the measured interpreter. It records the messages to and from viser's worker, so that both ends of a
 delay are taken from the page's clock.
 """
@@ -74,7 +74,7 @@ class Dragger(Watcher):
 
     def __init__(self, url: str) -> None:
         """Open the page; raises as `Watcher` does."""
-        super().__init__(url, "app.bench.latency")
+        super().__init__(url, "app.bench.view")
 
     def ask(self, what: str, **more: Any) -> dict[str, Any]:
         """Send a request and wait for the answer."""
