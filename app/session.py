@@ -15,10 +15,12 @@ from numpy.typing import ArrayLike
 import robots
 from app.control.autopilot import Script
 from app.control.engine import Orders
+from app.control.host import Host
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
+from app.control.process import Child, ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.page import PageMaster, checked_pose
 from app.kinds import Number
@@ -38,7 +40,7 @@ LIVE = tuple(  # options that are set while a session runs
 
 
 class Session:
-    """A running sandbox with its control thread. Thread-safe. Poses are in the arm's base frame.
+    """A running sandbox with its control loop. Thread-safe. Poses are in the arm's base frame.
 
     Attributes:
         scene: the present `Scene`; replaced as a whole by `change`.
@@ -48,21 +50,43 @@ class Session:
     """
 
     def __init__(
-        self, options: Options, progress: Progress | None = None, scene: Scene | None = None
+        self,
+        options: Options,
+        progress: Progress | None = None,
+        scene: Scene | None = None,
+        process: bool = False,
     ) -> None:
-        """Build the scene and the controller, without starting the thread.
+        """Build the scene and the controller, without starting the control loop.
 
         Args:
             progress: called with a short text before each step.
             scene: a scene to use instead of building one from the options.
+            process: whether the loop runs in a process of its own, in which nothing else makes a
+                tick late, instead of a thread of this one. It takes the arms of the catalogue.
 
         Raises:
             ValueError: unknown names or an unusable mesh, with the reason.
+            OSError: the process cannot be started.
         """
-        say = progress or (lambda _text: None)
+        with contextlib.ExitStack() as undo:
+            child = Child() if process else None
+            if child is not None:
+                undo.callback(child.leave)
+            self._build(options, progress or (lambda _text: None), scene, child)
+            undo.pop_all()
+
+    def _build(
+        self, options: Options, say: Progress, scene: Scene | None, child: Child | None
+    ) -> None:
         self.options = options
+        if child is not None:
+            say("preparing the kernels (the first start compiles them: up to a minute)")
+            scenes.warm_up()
+            child.warm_up()
         self.scene: Scene = scenes.build(options, 1, say) if scene is None else scene
         say("preparing the controller")
+        if child is not None:
+            child.share(self.scene.surface)
         plant = scenes.plant(self.scene, options)
         self.master = PageMaster(self.scene.T_base_start, options.scale, options.lock_orientation)
         self.work = Work()
@@ -72,10 +96,15 @@ class Session:
             scale=options.scale,
             lock_orientation=options.lock_orientation,
         )
-        self._writer = OrderWriter(orders)
-        self._outbox: Mailbox[Telemetry] = Mailbox()
         self._watch = Watch()
-        self._loop = ControlLoop(self._writer.inbox, self._outbox, options.dt, self._ticked)
+        self._loop: Host
+        if child is None:
+            self._writer = OrderWriter(orders)
+            outbox: Mailbox[Telemetry] = Mailbox()
+            self._loop = ControlLoop(self._writer.inbox, outbox, options.dt, self._ticked)
+        else:
+            self._loop = ControlProcess(child, orders, options.dt, self._ticked, self._watch.miss)
+            self._writer = OrderWriter(orders, self._loop.orders)
 
     def __enter__(self) -> Session:
         self.start()
@@ -85,18 +114,22 @@ class Session:
         self.close()
 
     def start(self) -> None:
-        """Start the control thread. The tool holds until the first `drive`."""
+        """Start the control loop. The tool holds until the first `drive`.
+
+        Raises:
+            Refused: the control process ended instead.
+        """
         self._watch.start()
         self._loop.start()
 
     def close(self) -> None:
-        """Stop the control thread and wait for it; finish a recording. Safe to call twice."""
+        """Stop the control loop and wait for it; finish a recording. Safe to call twice."""
         self._loop.close()
         self._watch.close()
 
     def latest(self) -> Telemetry:
         """The newest tick. Never blocks."""
-        telemetry = self._outbox.get()
+        telemetry = self._loop.telemetry.get()
         assert telemetry is not None
         return telemetry
 
@@ -138,6 +171,25 @@ class Session:
             Refused: there is no recording.
         """
         return self._loop.stop_recording()
+
+    @property
+    def ended(self) -> str:
+        """Why the control loop ended by itself; empty: it did not. See `restart`."""
+        return self._loop.ended
+
+    def restart(self) -> None:
+        """Run the control loop again after it `ended`: the tool holds where it was.
+
+        Nothing else has changed: scene, options and the tick's number go on.
+
+        Raises:
+            Refused: it has not ended, or cannot be started again; or a replay is shown.
+        """
+        with self._writer.exclusive():
+            self.master.place(self._tool())
+            self.master.hold()
+            self._command(autopilot=False)
+            self._loop.restart()
 
     # Suspension, while a replay is shown
 
@@ -355,6 +407,7 @@ class Session:
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = worker.build(options, self.scene.version + 1, arm, progress, stop)
+            self._loop.share(new.surface)
             with self._writer.lock:
                 # Settings may have changed while the scene was built.
                 options = replace(self.options, **wanted)
@@ -371,7 +424,7 @@ class Session:
     # Internal; callers hold the lock
 
     def _ticked(self, orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
-        """From the control thread, after every advance of the engine."""
+        """From the host of the loop, after every advance of the engine."""
         self._watch.take(orders, telemetry, ticked)
         if telemetry.step is not None:
             self.master.feel(telemetry.step.force)

@@ -165,6 +165,33 @@ class Step:
         value = self.__dict__[name] = _CUT[name](*self.__dict__["_left"])
         return value
 
+    @property
+    def packed(self) -> tuple[bytes, int, float]:
+        """What `unpacked` makes an equal step of: its record, n, and when the tick began [s].
+
+        The record is REPORT of `vf.layout` with the planes behind it, 8 bytes a number. Fields of
+        planes that are None are written as what they mean: −inf for floors, 0 for the others.
+        """
+        left: tuple[bytes, int, float] | None = self.__dict__.get("_left")
+        return _record_of(self) if left is None else left
+
+    @staticmethod
+    def unpacked(record: bytes, n: int, started: float) -> Step:
+        """The step of `packed`; its arrays are parts of the record."""
+        step = _new_step(Step)
+        step.__dict__["_left"] = (record, n, started)
+        return step
+
+    def held(self, q: FloatArray, tip: pin.SE3, status: Status) -> Step:
+        """This step for a tool that stays at the joints q (n,), with its tip there: no force."""
+        record, n, started = self.packed
+        whole = np.frombuffer(bytearray(record), np.float64)
+        whole[layout.HEAD : layout.HEAD + n] = q
+        whole[layout.REPORT_TIP : layout.REPORT_TIP + 12] = tip.homogeneous[:3].ravel()
+        whole[layout.REPORT_FORCE : layout.REPORT_FORCE + 3] = 0.0
+        whole[layout.REPORT_STATUS] = status
+        return Step.unpacked(whole.tobytes(), n, started)
+
 
 def _numbers(record: bytes, first: int, count: int) -> FloatArray:
     """Numbers of the record of a step, read-only like the record itself."""
@@ -198,6 +225,28 @@ def _cut_timings(record: bytes, started: float) -> Timings:
     return Timings(
         placed - started, found - placed, solved - found, ended - solved, ended - started
     )
+
+
+def _record_of(step: Step) -> tuple[bytes, int, float]:
+    """`Step.packed` of a step that was made of its fields."""
+    n, m, planes = len(step.limits), len(step.planes), step.planes
+    whole = np.zeros(layout.HEAD + 2 * n + layout.PLANE * m)
+    whole[[layout.REPORT_STATUS, layout.REPORT_SOLVER]] = step.status, step.solver
+    whole[layout.REPORT_RADIUS], whole[layout.REPORT_ALLOWED] = step.radius, planes.radius
+    whole[layout.REPORT_DISTANCE] = step.distance
+    whole[layout.REPORT_MARKS : layout.REPORT_MARKS + 4] = np.cumsum(step.timings[:4])
+    whole[layout.REPORT_FORCE : layout.REPORT_FORCE + 3] = step.force
+    whole[layout.REPORT_TIP : layout.REPORT_TIP + 12] = step.tip.homogeneous[:3].ravel()
+    whole[layout.HEAD : layout.HEAD + n] = step.q if step.q.shape == (n,) else nan
+    whole[layout.HEAD + n : layout.HEAD + 2 * n] = step.limits
+    rows = whole[layout.HEAD + 2 * n :].reshape(m, layout.PLANE)
+    write_records(planes, 0, rows)
+    if planes.capsules is not None:
+        rows[:, layout.CAPSULE] = planes.capsules
+    if planes.fixtures is not None:
+        rows[:, layout.FIXTURE] = planes.fixtures
+    rows[:, layout.PUSH] = step.multipliers
+    return whole.tobytes(), n, 0.0
 
 
 # What makes each field of a step out of what a tick left: its record, n, and when it began [s].
@@ -296,14 +345,6 @@ class Controller:
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
         self._tick = _COMPILED.tick
-        self._answers = {
-            layout.PLACED: self._place,
-            layout.SIDED: self._look_for_sides,
-            layout.FOUND: self._ask_fixtures,
-            layout.SOLVED: self._solve,
-            layout.TRIED: self._place_tried,
-            layout.JUDGED: self._judge,
-        }
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
             try:
@@ -378,7 +419,7 @@ class Controller:
             if m <= -layout.NO_TARGET:
                 T = pin.SE3(block.start[:, :3], block.start[:, 3])
                 return self._refused(q, started, T if m == -layout.NO_TARGET else None)
-            self._answers[-m](q)
+            _ANSWERS[-m](self, q)
             m = self._tick(block.address, q, goal, -m)
         step = _new_step(Step)
         record = block.report[: block.head + _RECORD * m].tobytes()
@@ -465,6 +506,17 @@ class Controller:
             Status.REFUSED, Solver.IDLE, none, 0.0, inf, self._idle,
             Timings(elapsed, 0.0, 0.0, 0.0, elapsed),
         )  # fmt: skip
+
+
+# What answers each question of a tick.
+_ANSWERS: dict[int, Callable[[Controller, FloatArray], None]] = {
+    layout.PLACED: Controller._place,
+    layout.SIDED: Controller._look_for_sides,
+    layout.FOUND: Controller._ask_fixtures,
+    layout.SOLVED: Controller._solve,
+    layout.TRIED: Controller._place_tried,
+    layout.JUDGED: Controller._judge,
+}
 
 
 def _check_limits(arm: Kinematics) -> None:

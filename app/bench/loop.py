@@ -22,7 +22,6 @@ from app.bench.tools.machine import machine, percentiles, resident
 from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
-from app.control.loop import raise_process_priority
 from app.refused import Refused
 from app.session import Session
 from app.settings import Options
@@ -44,7 +43,7 @@ class Tap:
         self._rows = np.full((room, 3), -1.0)
         self.count = 0
         # The loop publishes only a summary: intercept its private clock.
-        clock = session._loop._clock
+        clock = session._loop.clock
         record = clock.record
 
         def tapped(status: Any, started: float, late: float, spent: float, overrun: bool) -> None:
@@ -70,7 +69,6 @@ def run(
         ValueError: an unusable mesh or setting.
     """
     about = machine()
-    raise_process_priority()
     with ExitStack() as stack:
         path, unit, name = _mesh(options, stack, say)
         wanted = Options(
@@ -78,7 +76,7 @@ def run(
             port=0,
         )  # fmt: skip
         began = time.perf_counter()
-        session = Session(wanted, progress=say)
+        session = Session(wanted, progress=say, process=True)
         # With a margin, since loading may outlast its phase.
         room = int(options.rate * (options.seconds + SETTLE + 30.0) * (len(options.phases) + 1))
         tap = Tap(session, room)
@@ -273,9 +271,12 @@ def _join(browser: Watcher, stop: threading.Event, done: dict[str, int]) -> None
 
 def _waited(session: Session) -> float | None:
     """Time for which the control thread was runnable without a core [s]; None if not Linux."""
-    thread = session._loop._thread.native_id
+    place = session._loop.place
+    if place is None:
+        return None
+    process, thread = place
     try:
-        return int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[1]) * 1e-9
+        return int(Path(f"/proc/{process}/task/{thread}/schedstat").read_text().split()[1]) * 1e-9
     except (OSError, ValueError, IndexError):
         return None
 

@@ -16,7 +16,6 @@ from app.bench.loop import Tap, summary
 from app.bench.tools.machine import machine, resident
 from app.bench.tools.settings import Soak
 from app.bench.tools.watcher import Watcher
-from app.control.loop import raise_process_priority
 from app.session import Session
 from app.settings import Options
 from app.view import guard
@@ -38,11 +37,10 @@ def run(
         ValueError: an unusable mesh.
     """
     about = machine()
-    raise_process_priority()
     seconds = 60.0 * options.minutes
     with ExitStack() as stack:
         wanted = Options(mesh=options.mesh, rate=options.rate, port=0)
-        session = Session(wanted, progress=say)
+        session = Session(wanted, progress=say, process=True)
         tap = Tap(session, int(options.rate * (seconds + 300.0)))
         stack.callback(session.close)
         session.start()

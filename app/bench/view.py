@@ -92,15 +92,14 @@ def run(
     """
     from app.bench.loop import Tap, summary
     from app.bench.tools.machine import machine, percentiles
-    from app.control.loop import raise_process_priority
     from app.session import Session
     from app.settings import Options
     from app.view.page import Page
 
     about = machine()
-    raise_process_priority()
     with ExitStack() as stack:
-        session = Session(Options(mesh=options.mesh, rate=options.rate, port=0), progress=say)
+        wanted = Options(mesh=options.mesh, rate=options.rate, port=0)
+        session = Session(wanted, progress=say, process=True)
         # A slow browser may need several seconds for each drag.
         tap = Tap(session, int(options.rate * (options.seconds + 5.0 * options.drags + 120.0)))
         stack.callback(session.close)

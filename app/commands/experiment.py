@@ -243,7 +243,7 @@ def _replay(options: Replay) -> int:
     with console.status(f"doing trial {escape(trial.key)}"):
         recorded = protocol.record(trial)
         scene = playback.scene(recorded)
-    with Session(playback.options(trial), scene=scene) as session:
+    with Session(playback.options(trial), scene=scene, process=True) as session:
         page = Page(session, options.host, options.port)
         try:
             session.set_autopilot(True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +29,7 @@ class Plant:
         controller: built on that arm, warmed up.
         q0: (n,) start configuration, its tip in free space.
         surface: the anatomy, arm base frame.
+        planned_path: (k, 3) the planned cut on it, arm base frame [m]; None: there is none.
         clearance: distance from the surface at which the tip counts as free [m].
         scene: version of the session's scene.
         dt: length of a tick [s].
@@ -42,6 +43,7 @@ class Plant:
     controller: vf.Controller
     q0: NDArray[np.float64]
     surface: vf.Surface
+    planned_path: NDArray[np.float64] | None
     clearance: float
     scene: int
     dt: float
@@ -153,6 +155,11 @@ class Engine:
             stale=self._stale,
             step=self._step,
         )
+
+    @property
+    def counts(self) -> tuple[int, int, int | None]:
+        """Of `state`: steps, silent, autopilot_since."""
+        return self._steps, self._silent, self._autopilot_since
 
     def advance(self, orders: Orders, stats: LoopStats) -> tuple[Telemetry, bool]:
         """Do the next tick, or none while paused; returns the telemetry, and whether it ticked.
@@ -270,13 +277,8 @@ class Engine:
             self._fail()
             return
         # The recovery from below the standoff must not move a tool that is told to hold.
-        self._step = replace(
-            step,
-            q=self._q,
-            tip=tip,
-            force=_frozen(np.zeros(3)),
-            status=step.status if self._known and not self._stale else vf.Status.HELD,
-        )
+        obeyed = self._known and not self._stale
+        self._step = step.held(self._q, tip, step.status if obeyed else vf.Status.HELD)
 
     def _fail(self) -> None:
         self.failures += 1
@@ -284,13 +286,8 @@ class Engine:
             self._failed = True
             log.exception("the controller raised; the tool holds (further ones are only counted)")
         if self._step is not None and self._step.q.shape == self._q.shape:
-            self._step = replace(
-                self._step,
-                q=self._q,
-                tip=self._plant.arm.tip(self._q),
-                force=_frozen(np.zeros(3)),
-                status=vf.Status.HELD,
-            )
+            tip = self._plant.arm.tip(self._q)
+            self._step = self._step.held(self._q, tip, vf.Status.HELD)
         else:
             self._step = None
 

@@ -11,20 +11,19 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
-
-import numpy as np
 
 import vf
-from app.control.engine import Engine, Orders
+from app.control.clock import Clock
+from app.control.engine import Engine, Orders, State
+from app.control.host import Host
 from app.control.mailbox import Mailbox
-from app.control.messages import LoopStats, Telemetry
-from app.recording.capture import Tape
+from app.control.messages import Telemetry
+from app.control.wire import Timing
+from app.devices import protocols
 from app.refused import Refused
 
 log = logging.getLogger(__name__)
 
-SUMMARIES = 4  # of the statistics, per second
 # Python's switch interval: a thread waits this long for the interpreter lock (GIL) before it
 # requests it [s]. On wake-up the control thread waits a few intervals, since the page's threads
 # compete with it. With a browser on the same two cores 99.97 % of ticks were less than 1 ms late at
@@ -41,16 +40,17 @@ SPIN = 1e-4
 # Real-time priorities, where the system permits them.
 CONTROL_PRIORITY = 10
 VIEW_PRIORITY = 5
+BUILD_PRIORITY = 5  # of the control process's other thread, which must not be pushed off its core
 
 
-class ControlLoop:
-    """Runs an `Engine` in its own thread: orders come from one mailbox, telemetry goes to another.
+class ControlLoop(Host):
+    """Runs an `Engine` in a thread of this process.
 
     A tick that ends after the next deadline is an overrun; the next deadline is then counted from
     its end, so that lost time is not made up for by faster ticks.
 
     Attributes:
-        tape: the current recording or, if there is none, the last one; None: there was none.
+        engine: the engine; only for the thread, and before it is started.
     """
 
     def __init__(
@@ -59,35 +59,48 @@ class ControlLoop:
         telemetry: Mailbox[Telemetry],
         dt: float,
         watch: Callable[[Orders, Telemetry, bool], None] | None = None,
+        *,
+        state: State | None = None,
+        arm: protocols.Arm | None = None,
+        clock: Clock | Timing | None = None,
     ) -> None:
-        """Does not start the thread. `watch` is called after every tick, like `Tape.take`."""
+        """Does not start the thread.
+
+        Args:
+            dt: length of a tick [s].
+            watch: called after every tick, like `Tape.take`.
+            state, arm: as in `Engine`.
+            clock: is told the timing of every tick; None: one of its own.
+        """
+        super().__init__(orders, telemetry)
         first = orders.get()
         if first is None:
             raise ValueError("the loop needs orders to start from")
-        self._orders = orders
-        self._telemetry = telemetry
         self._dt = dt
         self._watch = watch
-        self._engine = Engine(first)
+        self._arm = arm
+        self.engine = Engine(first, state, arm)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control")
-        self._clock = _Clock(dt)
-        self._recording = threading.Lock()  # for starting and ending a recording; not in ticks
-        self._tape: Tape | None = None  # gets every tick
-        self.tape: Tape | None = None
-        telemetry.put(self._engine.look(first, self._clock.stats))
+        self.clock = Clock(dt) if clock is None else clock
+        telemetry.put(self.engine.look(first, self.clock.stats))
 
     @property
     def alive(self) -> bool:
-        """Whether the thread runs."""
         return self._thread.is_alive()
 
+    @property
+    def place(self) -> tuple[int, int] | None:
+        thread = self._thread.native_id
+        return None if thread is None else (os.getpid(), thread)
+
+    def share(self, surface: vf.Surface) -> None:
+        pass  # it is in this process already
+
     def start(self) -> None:
-        """Start the thread; it ticks until `close`."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stop, wait for the thread, finish a recording. Safe to call twice, or before `start`."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -95,42 +108,16 @@ class ControlLoop:
         if self.tape is not None:
             self.tape.finish()
 
-    def record(self, path: Path | str) -> Tape:
-        """Record from the next tick on.
-
-        Raises:
-            Refused: a recording is under way, or the file cannot be made.
-        """
-        with self._recording:
-            if self.tape is not None and self.tape.running:
-                raise Refused("a recording is under way: stop it first")
-            try:
-                self.tape = self._tape = Tape(path)
-            except OSError as error:
-                raise Refused(f"cannot record to {path}: {error.strerror or error}") from None
-            return self.tape
-
-    def stop_recording(self) -> Tape:
-        """Finish the recording's file; waits until it is written.
-
-        Raises:
-            Refused: there is no recording.
-        """
-        with self._recording:
-            tape, self._tape = self._tape, None
-        if tape is None:
-            raise Refused("nothing is being recorded")
-        tape.finish()
-        return tape
-
-    def wait_for_scene(self, version: int, timeout: float = 5.0) -> None:
-        """Wait until a tick ran in this scene, if the thread runs."""
-        deadline = time.monotonic() + timeout
-        while self.alive and time.monotonic() < deadline:
-            telemetry = self._telemetry.get()
-            if telemetry is not None and telemetry.scene == version and telemetry.step is not None:
-                return
-            time.sleep(1e-3)
+    def restart(self) -> None:
+        if not self.ended:
+            raise Refused("the control loop runs")
+        orders = self.orders.get()
+        assert orders is not None
+        state = self._continued(self.engine.state, self.engine.seen)
+        self.engine = Engine(orders, state, self._arm)
+        self.ended = ""
+        self._thread = threading.Thread(target=self._run, name="control")
+        self._thread.start()
 
     def _run(self) -> None:
         _request_realtime()
@@ -140,10 +127,10 @@ class ControlLoop:
             except Exception:
                 # An error of the loop itself: those of a tick end in HELD.
                 log.exception("the control thread stopped")
-                raise
+                self._fail("an error of the control loop")
 
     def _loop(self) -> None:
-        engine, clock, dt = self._engine, self._clock, self._dt
+        engine, clock, dt = self.engine, self.clock, self._dt
         now = time.perf_counter
         spin = min(SPIN, 0.1 * dt)
         deadline = now() + dt
@@ -154,13 +141,13 @@ class ControlLoop:
             started = now()
             while started < deadline:
                 started = now()
-            orders = self._orders.get()
+            orders = self.orders.get()
             assert orders is not None
             tape = self._tape
             if tape is not None and not tape.begun:
                 tape.begin(engine.seen, engine.state)
             telemetry, ticked = engine.advance(orders, clock.stats)
-            self._telemetry.put(telemetry)
+            self.telemetry.put(telemetry)
             if tape is not None:
                 tape.take(orders, telemetry, ticked)
             if self._watch is not None:
@@ -175,67 +162,6 @@ class ControlLoop:
             deadline = late if ended <= late else ended
             if ended > late:
                 time.sleep(0)  # release the interpreter lock even when every tick is late
-
-
-class _Clock:
-    """Timing of the last second in ring buffers, summarised `SUMMARIES` times a second."""
-
-    def __init__(self, dt: float) -> None:
-        size = max(10, round(1.0 / dt))
-        self.stats = LoopStats()
-        self._spent = np.zeros(size)  # [s]
-        self._late = np.zeros(size)  # [s]
-        self._starts = np.zeros(size)  # [s]
-        self._filled = 0
-        self._next = 0
-        self._overruns = 0
-        self._counts = dict.fromkeys(vf.Status, 0)
-        self._due = 0.0
-        self._idle = False
-
-    def record(
-        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
-    ) -> None:
-        """Note one tick; times in seconds of the monotonic clock."""
-        if self._idle:
-            # Samples from before a pause would falsify the rate.
-            self._idle = False
-            self._filled = self._next = 0
-        k = self._next
-        self._spent[k], self._late[k], self._starts[k] = spent, late, started
-        self._next = (k + 1) % len(self._spent)
-        self._filled = min(self._filled + 1, len(self._spent))
-        self._overruns += overrun
-        self._counts[status] += 1
-        if started >= self._due:
-            self._due = started + 1.0 / SUMMARIES
-            self._summarise()
-
-    def skip(self, started: float) -> None:
-        """Note a period without a tick (paused)."""
-        if not self._idle or started >= self._due:
-            self._idle = True
-            self._due = started + 1.0 / SUMMARIES
-            self._summarise()
-
-    def _summarise(self) -> None:
-        n = self._filled
-        if n == 0:
-            self.stats = LoopStats(overruns=self._overruns, counts=dict(self._counts))
-            return
-        spent, late = self._spent[:n], self._late[:n]
-        newest = self._starts[self._next - 1]
-        oldest = self._starts[self._next % n]
-        k = int(0.99 * (n - 1))
-        self.stats = LoopStats(
-            rate=float((n - 1) / (newest - oldest)) if newest > oldest else 0.0,
-            tick_median=float(np.partition(spent, n // 2)[n // 2]),
-            tick_worst=float(spent.max()),
-            late_p99=float(np.partition(late, k)[k]),
-            late_worst=float(late.max()),
-            overruns=self._overruns,
-            counts=dict(self._counts),
-        )
 
 
 class _realtime_interpreter(contextlib.ContextDecorator):

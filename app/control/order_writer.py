@@ -23,10 +23,11 @@ class OrderWriter:
         closed: why changes are refused; empty: they are accepted.
     """
 
-    def __init__(self, orders: Orders) -> None:
+    def __init__(self, orders: Orders, inbox: Mailbox[Orders] | None = None) -> None:
+        """`inbox`: has these orders; None: one is made."""
         self.lock = threading.RLock()
         self.orders = orders
-        self.inbox: Mailbox[Orders] = Mailbox(orders)
+        self.inbox: Mailbox[Orders] = Mailbox(orders) if inbox is None else inbox
         self.closed = ""
         self._paused = False  # before it was closed
 
@@ -43,10 +44,15 @@ class OrderWriter:
             yield
 
     def write(self, **changes: Any) -> None:
-        """Change the orders; all changes take effect at the same tick."""
+        """Change the orders; all changes take effect at the same tick.
+
+        Raises:
+            Refused: the control process cannot use them; nothing is changed.
+        """
         with self.lock:
-            self.orders = replace(self.orders, **changes)
-            self.inbox.put(self.orders)
+            orders = replace(self.orders, **changes)
+            self.inbox.put(orders)
+            self.orders = orders
 
     def close(self, reason: str) -> None:
         """Pause the loop, and refuse changes for this reason."""

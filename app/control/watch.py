@@ -86,6 +86,10 @@ class Watch:
         else:
             self.missed += 1
 
+    def miss(self, ticks: int) -> None:
+        """That many ticks were lost before they came here."""
+        self.missed += ticks
+
     def look(self) -> None:
         """Test the ticks taken so far; for the watch's own thread, or if it was not started."""
         queue = self._queue

@@ -87,6 +87,15 @@ class Tape:
         else:
             self._ended = True
 
+    def lose(self) -> None:
+        """Ticks were lost before they came here: the recording ends."""
+        self._ended = True
+
+    def end(self, note: str) -> None:
+        """Finish, because of what `note` says."""
+        self.note = self.note or note
+        self.finish()
+
     def finish(self) -> None:
         """Write the rest of the queue and close the file. Safe to call twice."""
         self._stop.set()
@@ -99,7 +108,7 @@ class Tape:
                 self._drain()
             self._drain()
             if self._ended:
-                self.note = f"the writing fell {BEHIND:,} ticks behind"
+                self.note = self.note or f"the writing fell {BEHIND:,} ticks behind"
         except (RecordingError, OSError) as error:
             self.note = _reason(error)
         except Exception as error:

@@ -19,6 +19,7 @@ import robots
 import vf
 from app.control.autopilot import Script, plan
 from app.control.engine import Plant, is_free
+from app.control.plant import Description, assemble, clearance, corridor
 from app.judges import meeting
 from app.scene.outside import shows_fronts_only
 from app.settings import Options
@@ -193,43 +194,23 @@ def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | Non
     return _read_only(meshes.transformed(T_base_mesh, path))
 
 
-def corridor(surface: vf.Surface, path: FloatArray, width: float) -> vf.CorridorFixture:
-    """The corridor of this width [m] along a path (k, 3) planned on a surface, as a cut into it."""
-    below = [surface.nearest(p)[1] for p in path]
-    return vf.CorridorFixture(path, vf.cutting_direction(path, surface.normals[below]), width)
-
-
 def plant(scene: Scene, options: Options) -> Plant:
-    """The plant of this scene with these settings; takes milliseconds."""
-    arm = scene.arm.copy()
-    fixtures: list[vf.Fixture] = [
-        vf.MeshFixture(scene.surface, rule=options.rule, radius=options.radius)
-    ]
-    if options.corridor is not None and scene.planned_path is not None:
-        fixtures.append(corridor(scene.surface, scene.planned_path, options.corridor))
-    settings = vf.Settings(
-        dt=options.dt,
-        standoff=options.standoff,
-        tip_radius=options.tip_radius,
-        force_gain=options.force_gain,
-        tip_speed=options.tip_speed,
-    )
-    controller = vf.Controller(arm, fixtures, settings)
-    # The first tick sets up the solver's workspace.
-    controller.step(scene.start, scene.T_base_start)
-    return Plant(
-        arm=arm,
-        controller=controller,
+    """The plant of this scene with these settings; takes milliseconds.
+
+    Raises:
+        ValueError: a corridor wider than the bends of its path allow.
+    """
+    description = Description(
+        robot=scene.arm.name,
         q0=scene.start,
         surface=scene.surface,
-        clearance=clearance(options),
+        planned_path=scene.planned_path,
         scene=scene.version,
-        dt=options.dt,
-        stale_after=options.stale_after,
         autopilot=scene.autopilot,
         options=options,
         scene_options=scene.options,
     )
+    return assemble(description, scene.arm.copy())
 
 
 @cache
@@ -237,11 +218,6 @@ def warm_up() -> None:
     """Compile the kernels of a tick, or load them from disk; once per process."""
     vf.Controller(robots.load("point"), []).warm_up()
     meeting.warm_up()
-
-
-def clearance(options: Options) -> float:
-    """Distance from the surface beyond which a tip is in free space [m]."""
-    return options.standoff + options.tip_radius
 
 
 def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:

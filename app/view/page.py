@@ -27,7 +27,8 @@ from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
 from app.view.controls.keys import Keys
-from app.view.controls.panel import BANNER, CLIENTS, Panel
+from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
+from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
 from app.view.drawing import light
@@ -150,6 +151,7 @@ class Page:
             self._section,
             self._client_lines,
             left,
+            Restart(server, session, self._input, RESTART),
             panel,
             ScenarioChoice(context),
             Signals(context),

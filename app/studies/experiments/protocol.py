@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
+from app.control.plant import corridor
 from app.kinds import Kind, Length, Number, Switch, Whole, shown
 from app.options import check_keys, declared, option
-from app.scene.scene import corridor
 from app.studies.experiments import cutting, judge, registration, site, smoothness
 from app.studies.experiments.description import Trial
 from app.studies.experiments.follower import ControlledArm

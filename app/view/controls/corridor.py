@@ -8,8 +8,9 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from app.control.plant import corridor
 from app.recording.playback import Moment
-from app.scene.scene import DEFAULT_WIDTH, Scene, corridor
+from app.scene.scene import DEFAULT_WIDTH, Scene
 from app.settings import number
 from app.view import palette
 from app.view.context import PageContext

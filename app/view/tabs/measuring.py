@@ -23,8 +23,8 @@ class Measuring:
         self._before: Telemetry | None = None  # at the last read-out
         self._tip_before: NDArray[np.float64] | None = None
 
-    def measure(self, shown: Moment, unwatched: int) -> Extras:
-        """Measure one moment; `unwatched`: ticks that were not tested for a crossing."""
+    def measure(self, shown: Moment, unwatched: int, ended: str) -> Extras:
+        """Measure one moment; `unwatched` and `ended` as in `Extras`."""
         scene, telemetry = shown.scene, shown.telemetry
         step = telemetry.step
         in_sphere, speed = 0, 0.0
@@ -46,4 +46,4 @@ class Measuring:
         self._count += 1
         joints = tuple(scene.arm.joints)
         silent = now - self._newest_since
-        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched)
+        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched, ended)

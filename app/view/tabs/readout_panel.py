@@ -32,7 +32,8 @@ class ReadoutPanel(Part):
 
     def read_out(self, shown: Moment) -> None:
         options, telemetry = shown.options, shown.telemetry
-        extras = self._measuring.measure(shown, self._session.unwatched)
+        session = self._session
+        extras = self._measuring.measure(shown, session.unwatched, session.ended)
         self._table.content = readouts.readouts(telemetry, options, extras)
         if self._source.live:
             self._banner.content = readouts.banner(telemetry, options, extras, shown.clutched)

@@ -47,6 +47,7 @@ class Extras:
         count: number of the read-out; makes each HTML differ from the last.
         where: position relative to the anatomy; None: no tick yet.
         unwatched: ticks that were not tested for a crossing.
+        ended: why the control loop ended by itself; empty: it did not.
     """
 
     in_sphere: int
@@ -56,6 +57,7 @@ class Extras:
     count: int = 0
     where: Whereabouts | None = None
     unwatched: int = 0
+    ended: str = ""
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -232,6 +234,9 @@ def _state(
     step = telemetry.step
     orange, red = palette.css(palette.ORANGE), palette.css(palette.VERMILION)
     calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
+    if extras.ended:
+        text = f"The control loop ended ({extras.ended}). The tool is held; nothing is lost."
+        return f"{text} Restart it below.", red
     if extras.silent > SILENCE:
         return f"The control loop has been silent for {extras.silent:.0f} s.", red
     where = extras.where

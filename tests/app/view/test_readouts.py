@@ -219,6 +219,6 @@ def test_triangles_within_reach_of_the_tips_ball_are_counted(session: Session) -
         (4e-3, True, "triangles in ball’s reach"),
     ):
         options = replace(session.options, tip_radius=tip_radius)
-        found = Measuring().measure(Moment(session.scene, options, telemetry, False), 0)
+        found = Measuring().measure(Moment(session.scene, options, telemetry, False), 0, "")
         assert (found.in_sphere > 0) == counted
         assert name in text(readouts.readouts(telemetry, options, found))

@@ -1,0 +1,222 @@
+"""Orders and telemetry as messages between the page's process and the control process.
+
+Every number keeps its bits, so that a recording is the same wherever it is made.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+import vf
+from app.control.engine import Engine, Orders, Plant, State
+from app.control.messages import Command, LoopStats, Telemetry
+
+# Number of the orders and of their plant; driven, clutch, held, paused, autopilot, lock; sequence,
+# steps, resets; stamp, scale; target (3, 4).
+_ORDERS = struct.Struct("<QQ6?qqqdd12d")
+# Number of the orders; ticked, stepped, repeated, driven, from, paused, autopilot, stale; tick,
+# scene, sequence, steps, silent, tick of the autopilot's start (−1: it is off); joints; of the step
+# when it began, and how many joints it has; timing of the period before: what it was, status,
+# overrun, started, late, spent. A multiple of eight bytes: arrays stand behind it.
+_TICK = struct.Struct("<Q8?qqqqqqQdQBB?5xddd")
+_POSE = 96  # of a pose (3, 4) [byte]
+_NO_POSE = bytes(_POSE)
+NONE, TICKED, SKIPPED = 0, 1, 2  # what a period was
+
+
+def pack_orders(number: int, plant: int, orders: Orders) -> bytes:
+    """Orders of this number, for the plant of that number."""
+    command, target = orders.command, orders.command.target
+    return _ORDERS.pack(
+        number,
+        plant,
+        target is not None,
+        command.clutch,
+        command.held,
+        orders.paused,
+        orders.autopilot,
+        orders.lock_orientation,
+        command.sequence,
+        orders.steps,
+        orders.resets,
+        command.stamp,
+        orders.scale,
+        *(np.zeros(12) if target is None else target.homogeneous[:3].ravel()),
+    )
+
+
+def numbers_of(message: bytes) -> tuple[int, int]:
+    """Number of the orders in a message, and of their plant."""
+    number, plant = struct.unpack_from("<QQ", message)
+    return number, plant
+
+
+def unpack_orders(message: bytes, plant: Plant) -> Orders:
+    """The orders of a message, for the plant that they name."""
+    (
+        _number, _plant, driven, clutch, held, paused, autopilot, lock, sequence, steps, resets,
+        stamp, scale, *target,
+    ) = _ORDERS.unpack(message)  # fmt: skip
+    T = np.array(target).reshape(3, 4)
+    return Orders(
+        plant=plant,
+        command=Command(
+            pin.SE3(T[:, :3], T[:, 3]) if driven else None, sequence, clutch, held, stamp
+        ),
+        paused=paused,
+        steps=steps,
+        resets=resets,
+        autopilot=autopilot,
+        scale=scale,
+        lock_orientation=lock,
+    )
+
+
+class Timing:
+    """What the loop says of a period, kept until the next message. See `clock.Clock`."""
+
+    def __init__(self) -> None:
+        self.stats = LoopStats()
+        self.last: tuple[int, int, bool, float, float, float] = (NONE, 0, False, 0.0, 0.0, 0.0)
+
+    def record(
+        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
+    ) -> None:
+        """Note one tick."""
+        self.last = TICKED, int(status), overrun, started, late, spent
+
+    def skip(self, started: float) -> None:
+        """Note a period without a tick."""
+        self.last = SKIPPED, 0, False, started, 0.0, 0.0
+
+
+class Teller:
+    """Makes a message of every tick; in the control process."""
+
+    def __init__(self, engine: Engine, timing: Timing) -> None:
+        self._engine = engine
+        self._timing = timing
+        self._step: vf.Step | None = None
+        self._target: tuple[pin.SE3 | None, bytes] = (None, _NO_POSE)
+
+    def message(self, number: int, telemetry: Telemetry, ticked: bool) -> bytes:
+        """The message of a tick by the orders of this number."""
+        step, target, origin = telemetry.step, telemetry.target, telemetry.origin
+        record, n, began = (b"", 0, 0.0) if step is None else step.packed
+        steps, silent, since = self._engine.counts
+        if target is not self._target[0]:
+            self._target = target, _packed(target)
+        head = _TICK.pack(
+            number,
+            ticked,
+            step is not None,
+            step is not None and step is self._step,
+            target is not None,
+            origin is not None,
+            telemetry.paused,
+            telemetry.autopilot,
+            telemetry.stale,
+            telemetry.tick,
+            telemetry.scene,
+            telemetry.sequence,
+            steps,
+            silent,
+            -1 if since is None else since,
+            len(telemetry.q),
+            began,
+            n,
+            *self._timing.last,
+        )
+        self._step = step
+        return b"".join((head, self._target[1], _packed(origin), telemetry.q.tobytes(), record))
+
+
+@dataclass(frozen=True)
+class Told:
+    """A message of a tick.
+
+    Attributes:
+        order: number of the orders it was made by.
+        ticked: whether the engine ticked.
+        telemetry: of the tick.
+        timing: of the period before, as `Timing.last`.
+        steps, silent, autopilot_since: as those of `State`.
+    """
+
+    order: int
+    ticked: bool
+    telemetry: Telemetry
+    timing: tuple[int, int, bool, float, float, float]
+    steps: int
+    silent: int
+    autopilot_since: int | None
+
+    @property
+    def state(self) -> State:
+        """The engine's state after the tick."""
+        return State(
+            q=self.telemetry.q,
+            tick=self.telemetry.tick,
+            steps=self.steps,
+            silent=self.silent,
+            autopilot_since=self.autopilot_since,
+            target=self.telemetry.target,
+            stale=self.telemetry.stale,
+            step=self.telemetry.step,
+        )
+
+
+def unpack(message: bytes, stats: LoopStats, dt: float, before: vf.Step | None) -> Told:
+    """What a message tells of a tick.
+
+    Args:
+        stats: becomes part of the telemetry.
+        dt: length of a tick [s].
+        before: the step of the message before, which this one may repeat; None: not known.
+    """
+    (
+        order, ticked, stepped, repeated, driven, came, paused, autopilot, stale, tick, scene,
+        sequence, steps, silent, since, joints, began, n, *timing,
+    ) = _TICK.unpack_from(message)  # fmt: skip
+    at = _TICK.size + 2 * _POSE
+    end = at + 8 * joints
+    step = before if repeated else None
+    if stepped and step is None:
+        step = vf.Step.unpacked(message[end:], n, began)
+    telemetry = Telemetry(
+        tick=tick,
+        time=tick * dt,
+        q=np.frombuffer(message, np.float64, joints, at),
+        target=_pose(message, _TICK.size) if driven else None,
+        step=step,
+        stats=stats,
+        scene=scene,
+        sequence=sequence,
+        paused=paused,
+        autopilot=autopilot,
+        stale=stale,
+        origin=_pose(message, _TICK.size + _POSE) if came else None,
+    )
+    what, status, overrun, started, late, spent = timing
+    return Told(
+        order=order,
+        ticked=ticked,
+        telemetry=telemetry,
+        timing=(what, status, overrun, started, late, spent),
+        steps=steps,
+        silent=silent,
+        autopilot_since=None if since < 0 else since,
+    )
+
+
+def _packed(pose: pin.SE3 | None) -> bytes:
+    return _NO_POSE if pose is None else pose.homogeneous[:3].tobytes()
+
+
+def _pose(message: bytes, at: int) -> pin.SE3:
+    T = np.frombuffer(message, np.float64, 12, at).reshape(3, 4)
+    return pin.SE3(T[:, :3], T[:, 3])
