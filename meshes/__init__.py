@@ -1,20 +1,21 @@
 """Meshes for virtual fixtures: catalogue, files, health report, repair, placement. Lengths in m."""
 
 from meshes.builtin.catalogue import Entry, absent, catalogue, names, planned_path
-from meshes.checks.health import Finding, Health, health
+from meshes.checks.health import health
 from meshes.checks.repair import Changes, Repaired, repair
+from meshes.checks.report import Finding, Health
 from meshes.errors import MeshError, UnitGuess
+from meshes.formats import FORMATS, WRITABLE, kind
 from meshes.frames import FRAMES, frame_description
-from meshes.load import FORMATS, FREESURFER, Loaded, arrays, kind, load, read
+from meshes.load import Loaded, arrays, load, read
 from meshes.path import read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
-from meshes.save import WRITABLE, save
+from meshes.save import save
 from meshes.units import UNITS, UnitNeeded
 
 __all__ = [
     "FORMATS",
     "FRAMES",
-    "FREESURFER",
     "UNITS",
     "UPS",
     "WRITABLE",

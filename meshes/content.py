@@ -1,14 +1,16 @@
-"""The result of every reader, and the limits that all readers keep."""
+"""The arrays of a mesh, the result of every reader, and the limits that all readers keep."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from meshes.builtin.shapes import Arrays
 from meshes.errors import MeshError
+
+Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
+"""Vertices ``(n, 3)`` [m] and faces ``(m, 3)``, the corners anticlockwise seen from outside."""
 
 SIZE_LIMIT = 500_000_000  # [byte] of a file, also uncompressed: ten million triangles
 RATIO = 50  # of the uncompressed size to the compressed one; text meshes reach about 10
@@ -44,6 +46,20 @@ def checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:
         raise MeshError(f"{are} not finite, the first is vertex {bad.argmax()}")
     check_corners(faces, len(vertices))
     return vertices, faces.reshape(-1, 3)
+
+
+def checked_mesh(vertices: ArrayLike, faces: ArrayLike | None) -> Arrays:
+    """The arrays as ``(n, 3)`` float64 and ``(m, 3)`` int64, not copied if they already are.
+
+    Raises:
+        MeshError: no faces, wrong shapes, indices out of range, vertices that are not finite.
+    """
+    v, f = np.asarray(vertices, dtype=np.float64, order="C"), np.asarray(faces)
+    if not np.issubdtype(f.dtype, np.integer):
+        raise MeshError(f"faces must be integers of shape (m, 3), not {f.dtype} of {f.shape}")
+    if len(f) == 0:
+        raise MeshError("a mesh without faces")
+    return checked(v, np.ascontiguousarray(f, dtype=np.int64))
 
 
 def check_corners(corners: NDArray[np.int64], vertices: int) -> None:

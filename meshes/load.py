@@ -13,44 +13,11 @@ from numpy.typing import NDArray
 
 from meshes import frames, packed
 from meshes.builtin.catalogue import absent, catalogue, first_use
-from meshes.builtin.shapes import Arrays
-from meshes.content import SIZE_LIMIT, Content, allowed_unpacked, check_unpacked, compact
+from meshes.content import SIZE_LIMIT, Arrays, Content, allowed_unpacked, check_unpacked, compact
 from meshes.errors import MeshError
-from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
+from meshes.formats import BY_END, FORMATS, identified, kind
 from meshes.units import UNITS, diagonal, resolved_unit
 from vf.surface import Surface
-
-FREESURFER = ("pial", "white", "orig", "smoothwm", "inflated")
-_READERS: dict[str, Callable[[bytes], Content]] = {
-    "stl": stl.read,
-    "obj": obj.read,
-    "ply": ply.read,
-    "off": off.read,
-    "3mf": threemf.read,
-    "vtp": vtp.read,
-    "vtk": vtk.read,
-    "gii": gifti.read,
-    **dict.fromkeys(FREESURFER, freesurfer.read),
-}
-FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf", "vtp", "vtk", "gii", *FREESURFER)
-"""Ends of the names of mesh files; `.gz` may follow any of them."""
-SCENES = ("glb", "gltf")
-_SIGNATURES = (  # first bytes in lower case, description, formats that may begin so
-    (packed.MAGIC, "packed with gzip: its name should end in .gz", ()),
-    (b"\xff\xff\xfe", "a FreeSurfer surface", FREESURFER),
-    (b"pk\x03\x04", "a zip archive (as 3MF is)", ("3mf",)),
-    (b"gltf", "binary glTF", ("glb",)),
-    (b"ply", "PLY", ("ply",)),
-    (b"# vtk datafile", "legacy VTK", ("vtk",)),
-    (b"<!doctype html", "a web page", ()),
-    (b"<html", "a web page", ()),
-    (b"<vtkfile", "VTK's XML", ("vtp",)),
-    (b"<gifti", "GIfTI", ("gii",)),
-    (b"<?xml", "XML", ("vtp", "gii")),
-    (b"nrrd000", "an NRRD volume (see mesh from-volume)", ()),
-    (b"iso-10303", "a STEP file, which has no triangles", ()),
-    (b"version https://git-lfs", "a pointer of Git LFS in place of the file", ()),
-)
 
 
 @dataclass(frozen=True)
@@ -65,18 +32,6 @@ class Loaded:
     """The patient frame of the coordinates: "RAS", "LPS", or None if not known."""
     notes: tuple[str, ...] = ()
     """What the user should know about the file, a sentence each."""
-
-
-def kind(name: str) -> str | None:
-    """The format of a file by its name, of `FORMATS`; None of other files.
-
-    FreeSurfer's surfaces may also go by names such as `lh.pial.T1`.
-    """
-    words = name.lower().removesuffix(".gz").split(".")
-    if words[-1] in FORMATS:
-        return words[-1]
-    hemisphere = len(words) > 1 and words[0] in ("lh", "rh")
-    return words[1] if hemisphere and words[1] in FREESURFER else None
 
 
 def load(name_or_path: str | os.PathLike[str], *, unit: str | None = None) -> Surface:
@@ -202,27 +157,14 @@ def _content(data: bytes, path: Path, form: str) -> Content:
         size = len(data)
         data = packed.gunzip(data, allowed_unpacked(size))
         check_unpacked(len(data), size)
+    entry = BY_END[form]
     try:
-        if form in SCENES:
-            return gltf.read(data, form, path.parent)
-        return _READERS[form](data)
+        return entry.read(data, path.parent) if entry.opens_others else entry.read(data)
     except MeshError:
-        what, forms = _identified(data)
+        what, forms = identified(data)
         if what and form not in forms:
             raise MeshError(f"{what}, not {form.upper()} as its name says") from None
         raise
-
-
-def _identified(data: bytes) -> tuple[str, tuple[str, ...]]:
-    """What a file is by its first bytes, and the formats that begin so; "" if not known."""
-    if data[128:132] == b"DICM":
-        return "a DICOM file", ()
-    begin = data[:256].lower()
-    text = begin.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, what, forms in _SIGNATURES:
-        if (begin if magic[0] > 127 or magic[0] < 32 else text).startswith(magic):
-            return what, forms
-    return "", ()
 
 
 def _joined(bodies: list[Arrays], form: str) -> Arrays:
@@ -233,9 +175,7 @@ def _joined(bodies: list[Arrays], form: str) -> Arrays:
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
     vertices = np.vstack([vertices for vertices, _ in bodies])
     faces = np.vstack([f + start for (_, f), start in zip(bodies, starts[:-1], strict=True)])
-    if form == "stl" or form in SCENES:
-        return _merged(vertices, faces)
-    return vertices, faces
+    return (vertices, faces) if BY_END[form].shares_vertices else _merged(vertices, faces)
 
 
 def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Arrays:

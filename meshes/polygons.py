@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.builtin.shapes import Arrays
-from meshes.content import check_corners, checked, cut_off
+from meshes.content import Arrays, check_corners, checked, cut_off
 from meshes.errors import MeshError
 from vf.kernels import njit
 

@@ -36,7 +36,7 @@ class Arm:
         velocity: speed limits [rad/s or m/s].
         revolute: 1 for a revolute joint, 0 for a prismatic one.
         neutral:  the rest pose, within the limits.
-        chain:    `(k + 1, 14)`, the joints between base and tip as `vf.chain` reads them.
+        chain:    `(k + 1, 14)`, the joints between base and tip as `vf.tick.chain` reads them.
     """
 
     def __init__(

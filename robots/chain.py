@@ -6,13 +6,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from vf.chain import JOINT, LINK, REVOLUTE, ROTATION, TRANSLATION
+from vf.tick.chain import JOINT, LINK, REVOLUTE, ROTATION, TRANSLATION
 
 FloatArray = NDArray[np.float64]
 
 
 def flat(model: pin.Model, frame: int) -> FloatArray:
-    """The chain (k + 1, 14) from the base to a frame, see `vf.chain`; read-only.
+    """The chain (k + 1, 14) from the base to a frame, see `vf.tick.chain`; read-only.
 
     Raises:
         ValueError: a joint is neither prismatic nor bounded revolute.

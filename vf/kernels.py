@@ -139,8 +139,7 @@ def ingredients(function: Callable[..., Any]) -> Iterator[bytes]:
         for code in _codes(kernel.__code__):
             constants = [c for c in code.co_consts if not isinstance(c, CodeType)]
             yield repr((code.co_code, code.co_names, code.co_varnames, constants)).encode()
-            for name in code.co_names:
-                value = kernel.__globals__.get(name)
+            for name, value in _globals(kernel, code):
                 if isinstance(value, Dispatcher):
                     if value.py_func not in seen:
                         seen.add(value.py_func)
@@ -154,6 +153,24 @@ def ingredients(function: Callable[..., Any]) -> Iterator[bytes]:
                     yield repr((name, value)).encode()
                 elif value is not None and not isinstance(value, ModuleType | BuiltinFunctionType):
                     raise TypeError(f"{kernel.__name__} uses {name}: a kernel may not")
+
+
+def _globals(function: Callable[..., Any], code: CodeType) -> Iterator[tuple[str, Any]]:
+    """Names and values of what a function's code takes from its module, and from modules there.
+
+    Of another module (`at.PLANE`) the constants and kernels, as far as the code has such names.
+    """
+    modules = []
+    for name in code.co_names:
+        value = function.__globals__.get(name)
+        yield name, value
+        if isinstance(value, ModuleType):
+            modules.append(value)
+    for module in modules:
+        for name in code.co_names:
+            value = vars(module).get(name)
+            if isinstance(value, Dispatcher | int | float | str | tuple):
+                yield f"{module.__name__}.{name}", value
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:

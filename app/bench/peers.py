@@ -11,16 +11,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.markup import escape
 
 import meshes
 import robots
 import vf
 from app.bench import queries, solvers
 from app.bench.queries import Bodies, Holders, Peer
+from app.bench.tools import report
 from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
 from app.bench.tools.reference import leak
 from app.bench.tools.settings import Peers
+from app.console import Column, show_table
 from app.words import format_length
 from meshes.builtin import ladder
 
@@ -106,8 +110,48 @@ def run(
         "options": asdict(options),
         "tasks": tasks,
         "interrupted": len(tasks) < len(jobs),
+        # A wrong answer of another library is shown in its row; ours is an error.
+        "complaints": [
+            f"{task['what']}: {entry['name']}"
+            for task in tasks
+            for entry in task["entries"]
+            if entry["ours"] and not entry["agrees"]
+        ],
         "missing": missing,
     }
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    """Print the result of `run`."""
+    report.header(result, console)
+    for task in result["tasks"]:
+        rows = []
+        for entry in task["entries"]:
+            good = entry["agrees"]
+            rows.append(
+                (
+                    escape(entry["name"]),
+                    *(f"{entry['us'][k]:.1f}" if good else "–" for k in ("median", "p99")),
+                    f"{entry['ratio']:.2f}" if good else "–",
+                    escape(entry["check"]) if good else f"[red]wrong: {escape(entry['check'])}[/]",
+                    escape(entry["note"]),
+                )
+            )
+        show_table(
+            console,
+            [
+                Column("library", left=True),
+                Column("median [µs]"),
+                Column("p99 [µs]"),
+                Column("× ours"),
+                Column("answers", left=True),
+                Column("note", left=True),
+            ],
+            rows,
+            title=task["what"],
+        )
+    for name, why in result["missing"].items():
+        console.print(f"not compared: {name} ({why})")
 
 
 def compare(peers: Sequence[Peer], check: Check, count: int, rounds: int) -> list[dict[str, Any]]:

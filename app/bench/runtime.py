@@ -15,14 +15,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 import meshes
 import robots
 import vf
+from app.bench.tools import report
 from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
+from app.bench.tools.report import figure as draw
 from app.bench.tools.settings import Runtime
+from app.console import Column, show_table
+from app.words import format_length
 from meshes.builtin import ladder
+
+__all__ = ["draw", "run", "show"]
 
 FloatArray = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -156,6 +163,78 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         "ratios": ratios(rows),
         "interrupted": not whole,
     }  # fmt: skip
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    """Print the result of `run`."""
+    report.header(result, console)
+    for build in result["builds"]:
+        stages = ", ".join(f"{name} {t:.2f}" for name, t in build["stages [s]"].items())
+        console.print(
+            f"surface of {build['triangles']:,}: {build['total [s]']:.2f} s ({stages}), "
+            f"inside test {build['inside test [s]']:.2f} s, arrays {build['arrays [MB]']:.0f} MB"
+        )
+    rows = result["rows"]
+    parts = [name for name in rows[0]["parts [us]"] if name != "rest"]
+    names = ("rule", "r", "triangles", "in ball", "planes", "kHz", "p1", "median", "p99")
+    cells = []
+    for row in rows:
+        tick, split = row["tick [us]"], row["parts [us]"]
+        listed = f"{row['stages [us]']['list of the ball']:.0f}" if row["rule"] == "paper" else "–"
+        cells.append(
+            (
+                row["rule"],
+                format_length(row["radius [m]"]),
+                f"{row['triangles']:,}",
+                f"{row['in the ball']:,.0f}",
+                f"{row['planes']['mean']:,.1f}",
+                f"{row['rate [kHz]']:.2f}",
+                *(f"{tick[key]:.0f}" for key in ("p1", "median", "p99")),
+                *(f"{split[name]:.1f}" for name in parts),
+                f"{split['rest']:.1f}",
+                listed,
+            )
+        )
+    show_table(
+        console,
+        [Column(name, left=name == "rule") for name in (*names, *parts, "rest", "list")],
+        cells,
+        labels=3,
+        title="One tick of the PSM, medians in µs. The planes column of the certified rule is one "
+        "tree walk that finds and chooses them; 'list' is the sphere query that the paper's rule "
+        "starts with, timed on its own and part of its planes column.",
+    )
+    states = []
+    for row in rows:
+        shares = (
+            f"{100 * state['share']:.0f} %"
+            + (f" {state['tick [us]']:.0f}" if state["tick [us]"] is not None else "")
+            for state in row["states"].values()
+        )
+        states.append(
+            (row["rule"], format_length(row["radius [m]"]), f"{row['triangles']:,}", *shares)
+        )
+    show_table(
+        console,
+        [
+            Column(name, left=name == "rule")
+            for name in ("rule", "r", "triangles", *rows[0]["states"])
+        ],
+        states,
+        labels=3,
+        title="The same by contact state: share of the ticks, median in µs",
+    )
+    floor = result["floor [us]"]
+    console.print(
+        f"a tick that meets nothing: {floor['median']:.1f} µs "
+        f"(p1 {floor['p1']:.1f}, p99 {floor['p99']:.0f})"
+    )
+    for ratio in result["ratios"]:
+        bare = ratio.get("without inside test")
+        console.print(
+            f"{ratio['what']}, r = {format_length(ratio['radius [m]'])}: {ratio['ratio']:.2f}"
+            + (f" ({bare:.2f} without the inside test)" if bare is not None else "")
+        )
 
 
 def _out_of_reach(arm: robots.Arm) -> Cell:

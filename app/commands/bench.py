@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -17,91 +17,44 @@ from app.console import console as new_console
 from app.console import progress
 from app.words import OptionError
 
-_MODULES: dict[type, str] = {
-    Loop: "app.bench.loop",
-    View: "app.bench.latency",
-    Meshes: "app.bench.meshes",
-    Soak: "app.bench.soak",
-}
 PROGRAM = "vf-sandbox bench"
 MISSING = "pip install 'vf-sandbox[bench]'"
-WRONG_ANSWER = 1
-GREW = 1
+WRONG = 1
 
 
 def measure(options: Any) -> int:
-    """Run one of the benchmarks; returns the exit code."""
+    """Run a benchmark, the module of `app.bench` that has its name; returns the exit code.
+
+    Its `run(options, say, advance)` returns what is written as JSON, `show(result, console)` prints
+    it, and `draw(result, file)`, where it has one, makes a picture of it.
+    """
     name = type(options).__name__.lower()
     options.out.mkdir(parents=True, exist_ok=True)  # before the work, to fail early
+    module = import_module(f"app.bench.{name}")
+    console = new_console()
     try:
-        if isinstance(options, Runtime):
-            result = _runtime(options)
-        elif isinstance(options, Peers):
-            result = _peers(options)
-        else:
-            result = _measured(options, name, import_module(_MODULES[type(options)]))
+        result = _run(console, partial(module.run, options))
     except NoBrowser as error:
         raise OptionError(str(error)) from None
+    module.show(result, console)
     if result.get("interrupted"):
         # Nothing is written, so that an earlier complete result is kept.
         return interrupted(f"{PROGRAM} {name}", "this is what there was so far, it is not written")
-    if isinstance(options, Peers):
-        # A wrong answer of another library is shown in its row; ours is an error.
-        ours = [entry for task in result["tasks"] for entry in task["entries"] if entry["ours"]]
-        return 0 if all(entry["agrees"] for entry in ours) else WRONG_ANSWER
-    return GREW if result.get("complaints") else 0
-
-
-def _runtime(options: Runtime) -> dict[str, Any]:
-    from app.bench import runtime
-    from app.bench.tools import report
-
-    console = new_console()
-    result = _shown(console, lambda say, advance: runtime.run(options, say, advance))
-    report.runtime(result, console)
-    _write(options.out, "runtime", result, console)
-    if not result.get("interrupted"):
-        picture = options.out / "runtime.png"
-        try:
-            report.figure(result, picture)
-        except ImportError:
-            console.print(
-                "no figure: matplotlib is not installed (pip install 'vf-sandbox[bench]')",
-                markup=False,
-            )
-        else:
-            console.print(f"written: {picture}", markup=False)
-    return result
-
-
-def _peers(options: Peers) -> dict[str, Any]:
-    from app.bench import peers
-    from app.bench.tools import report
-
-    console = new_console()
-    result = _shown(console, lambda say, advance: peers.run(options, say, advance))
-    report.peers(result, console)
-    _write(options.out, "peers", result, console)
-    return result
-
-
-def _measured(options: Loop | View | Meshes | Soak, name: str, module: Any) -> dict[str, Any]:
-    """Run a benchmark module, and print and write its result."""
-    console = new_console()
-    result = _shown(console, lambda say, advance: module.run(options, say, advance))
-    module.show(result, console)
-    _write(options.out, name, result, console)
-    return result
-
-
-def _write(out: Path, name: str, result: dict[str, Any], console: Console) -> None:
     from app.bench.tools.machine import write
 
-    if not result.get("interrupted"):
-        console.print(f"written: {write(out, name, result)}", markup=False)
+    console.print(f"written: {write(options.out, name, result)}", markup=False)
+    if hasattr(module, "draw"):
+        picture = options.out / f"{name}.png"
+        try:
+            module.draw(result, picture)
+        except ImportError:
+            console.print(f"no figure: matplotlib is not installed ({MISSING})", markup=False)
+        else:
+            console.print(f"written: {picture}", markup=False)
+    return WRONG if result.get("complaints") else 0
 
 
-def _shown(
+def _run(
     console: Console,
     work: Callable[[Callable[[str], None], Callable[[float], None]], dict[str, Any]],
 ) -> dict[str, Any]:

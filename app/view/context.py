@@ -9,14 +9,14 @@ import viser
 from app.scenarios.file import Scenario
 from app.scene.library import Library
 from app.session import Session
-from app.view.cameras import Cameras
-from app.view.client_input import ClientInput, Notify
-from app.view.escape import EscapeKey
-from app.view.fixture import FixtureDrawing
-from app.view.labels import Labels
-from app.view.proxy import Proxy
+from app.view.clients.cameras import Cameras
+from app.view.clients.client_input import ClientInput, Notify
+from app.view.clients.escape import EscapeKey
+from app.view.clients.uploads import Uploads
+from app.view.drawing.fixture import FixtureDrawing
+from app.view.drawing.labels import Labels
+from app.view.drawing.proxy import Proxy
 from app.view.source import Source
-from app.view.uploads import Uploads
 
 
 @dataclass(frozen=True)

@@ -18,34 +18,36 @@ from app.recording.playback import Moment
 from app.scenarios.file import Scenario
 from app.scene.library import Library
 from app.session import Session
-from app.view import client_names, guard, light, style
-from app.view.anatomy import Anatomy
-from app.view.arm import ArmDrawing
-from app.view.cameras import Cameras
-from app.view.client_input import ClientInput
+from app.view import guard, style
+from app.view.clients import client_names
+from app.view.clients.cameras import Cameras
+from app.view.clients.client_input import ClientInput
+from app.view.clients.escape import EscapeKey
+from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
-from app.view.corridor import CorridorControl
-from app.view.crossing import CrossingMark
-from app.view.escape import EscapeKey
-from app.view.fixture import FixtureDrawing
+from app.view.controls.corridor import CorridorControl
+from app.view.controls.keys import Keys
+from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
+from app.view.controls.restart import Restart
+from app.view.controls.scenarios import ScenarioChoice
+from app.view.controls.views import Views
+from app.view.drawing import light
+from app.view.drawing.anatomy import Anatomy
+from app.view.drawing.arm import ArmDrawing
+from app.view.drawing.crossing import CrossingMark
+from app.view.drawing.fixture import FixtureDrawing
+from app.view.drawing.labels import Labels
+from app.view.drawing.proxy import Proxy
+from app.view.drawing.ruler import Rulers
+from app.view.drawing.section import Section
+from app.view.drawing.tool import Tool
 from app.view.inspector import InspectorTab
-from app.view.keys import Keys
-from app.view.labels import Labels
-from app.view.mesh_tab import MeshTab
-from app.view.panel import BANNER, CLIENTS, RESTART, Panel
 from app.view.part import Part
-from app.view.proxy import Proxy
-from app.view.readout_panel import ReadoutPanel
-from app.view.recorder import RecordTab
-from app.view.restart import Restart
-from app.view.ruler import Rulers
-from app.view.scenarios import ScenarioChoice
-from app.view.section import Section
-from app.view.signals import Signals
 from app.view.source import Source
-from app.view.tool import Tool
-from app.view.uploads import Uploads
-from app.view.views import Views
+from app.view.tabs.mesh_tab import MeshTab
+from app.view.tabs.readout_panel import ReadoutPanel
+from app.view.tabs.recorder import RecordTab
+from app.view.tabs.signals import Signals
 
 log = logging.getLogger(__name__)
 

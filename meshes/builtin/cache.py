@@ -11,7 +11,7 @@ import numpy as np
 import platformdirs
 
 from meshes.atomic import replacing
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 
 RECIPES = 1
 """Version of the recipes, part of every key; increased with each change."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.builtin import cache, packaged, shapes, skull
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 from meshes.errors import MeshError
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 
 SHARE = 0.05  # of the faces, for kinds that change some of them
 

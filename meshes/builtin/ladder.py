@@ -26,7 +26,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from meshes.builtin import cache, packaged
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 from meshes.errors import MeshError
 from meshes.load import arrays
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
 from meshes import volume
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 from meshes.errors import MeshError
 
 _MNI = "datasets/data/mni_icbm152_{}_tal_nlin_sym_09a_converted.nii.gz"

@@ -16,8 +16,7 @@ import trimesh
 from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
-Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
-"""Vertices ``(n, 3)`` [m] and faces ``(m, 3)``, the corners anticlockwise seen from outside."""
+from meshes.content import Arrays
 
 Point2 = tuple[float, float]
 Outline = Sequence[Point2] | NDArray[np.float64]

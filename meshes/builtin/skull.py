@@ -14,7 +14,8 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
-from meshes.builtin.shapes import Arrays, to_metres
+from meshes.builtin.shapes import to_metres
+from meshes.content import Arrays
 
 COARSE, STANDARD, FINE = 104, 344, 1104
 """Segments round the generating sphere: about 10, 94 and 936 thousand triangles."""

@@ -1,25 +1,22 @@
-"""The health report: defects of a mesh, where they are, and their effect on the fixtures."""
+"""Examines a mesh: its defects and where they are, as a report."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.checks import probe
 from meshes.checks.bodies import Bodies, bodies
+from meshes.checks.report import PERCENTILES, Finding, Health, pluralized
 from meshes.checks.topology import Topology, topology
 from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
-from meshes.content import checked
-from meshes.errors import MeshError
-from meshes.formats.text import pluralized
-from meshes.meaning import MEANING
-from vf import Surface, pdtree
-from vf.closest import SLIVER
+from meshes.content import checked_mesh
+from vf import Surface
 from vf.kernels import njit
+from vf.tree.build import build
+from vf.tree.closest import SLIVER
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -28,125 +25,8 @@ NEAR = 1e-6
 """Weld tolerance as a share of the diagonal: single precision, rounded twice."""
 SLIM = 0.01
 """A sliver's height is less than this share of its longest edge."""
-PERCENTILES = (0, 5, 50, 95, 100)
 THIN = 1e-4  # [m] thickness below which a wall is reported: the size of a hand's tremor
 EXAMINED = 50_000
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One kind of defect or remark: its number, its places, its meaning for the fixtures.
-
-    Attributes:
-        kind: a key of `MEANING`.
-        count: number of faces, edges, vertices, loops, bodies or pairs, as ``kind`` says.
-        defect: to be repaired before use; otherwise a remark.
-        text: one line with the numbers.
-        of: the kind of ``ids``: "vertices", "faces", or "edges".
-        ids: ``(k,)`` rows of vertices or faces, or ``(k, 2)`` ends of edges, in the caller's order.
-    """
-
-    kind: str
-    count: int
-    defect: bool
-    text: str
-    of: str
-    ids: IntArray
-
-    @property
-    def meaning(self) -> str:
-        return MEANING[self.kind]
-
-
-@dataclass(frozen=True)
-class Health:
-    """The report on a mesh. Lengths [m], areas [m²], volumes [m³].
-
-    Attributes:
-        extents: ``(x, y, z)`` of the bounding box.
-        watertight: every edge joins exactly two faces, and no face is degenerate by its corners.
-        consistent: no face is wound against its patch, and no patch is one-sided.
-        components: pieces connected across edges.
-        genus: handles of all components together; None where non-manifold or one-sided.
-        volume: enclosed, cavities subtracted, positive also for a body that is inside out; None
-            unless watertight and consistent.
-        edge_percentiles: length at each of `PERCENTILES`.
-        boundary_lengths: of every boundary loop, longest first.
-        wall, wall_face: thinnest wall found and a face on it, or None.
-        examined: faces examined for self-intersections and walls: all, or evenly sampled.
-        findings: defects first, then remarks; empty for a clean mesh.
-    """
-
-    vertices: int
-    triangles: int
-    extents: tuple[float, float, float]
-    watertight: bool
-    consistent: bool
-    components: int
-    genus: int | None
-    area: float
-    volume: float | None
-    edge_percentiles: tuple[float, ...]
-    boundary_lengths: tuple[float, ...]
-    wall: float | None
-    wall_face: int | None
-    examined: int
-    findings: tuple[Finding, ...]
-
-    @property
-    def exact(self) -> bool:
-        """Whether every face was examined for self-intersections and walls."""
-        return self.examined == self.triangles
-
-    @property
-    def sound(self) -> bool:
-        """No defects."""
-        return not any(finding.defect for finding in self.findings)
-
-    def count(self, kind: str) -> int:
-        """The number in the finding of a kind, 0 if there is none.
-
-        Raises:
-            ValueError: unknown kind; lists the valid ones.
-        """
-        if kind not in MEANING:
-            raise ValueError(f"unknown finding {kind!r}: choose one of {', '.join(MEANING)}")
-        return next((finding.count for finding in self.findings if finding.kind == kind), 0)
-
-    def as_dict(self, most_ids: int = 1000) -> dict[str, Any]:
-        """Plain values for JSON, with at most so many ids of each finding."""
-        return {
-            "vertices": self.vertices,
-            "triangles": self.triangles,
-            "extents_m": list(self.extents),
-            "sound": self.sound,
-            "watertight": self.watertight,
-            "consistent": self.consistent,
-            "components": self.components,
-            "genus": self.genus,
-            "area_m2": self.area,
-            "volume_m3": self.volume,
-            "edge_percentiles_m": dict(
-                zip(map(str, PERCENTILES), self.edge_percentiles, strict=True)
-            ),
-            "boundary_lengths_m": list(self.boundary_lengths[:most_ids]),
-            "thinnest_wall_m": self.wall,
-            "thinnest_wall_face": self.wall_face,
-            "examined_faces": self.examined,
-            "exact": self.exact,
-            "findings": [
-                {
-                    "kind": finding.kind,
-                    "count": finding.count,
-                    "defect": finding.defect,
-                    "text": finding.text,
-                    "meaning": finding.meaning,
-                    "of": finding.of,
-                    "ids": finding.ids[:most_ids].tolist(),
-                }
-                for finding in self.findings
-            ],
-        }
 
 
 def health(
@@ -249,7 +129,7 @@ def health(
     wall, wall_face, examined = None, None, 0
     if examine:
         say("self-intersections and walls")
-        tree = mesh.tree if isinstance(mesh, Surface) else pdtree.build(v, f)
+        tree = mesh.tree if isinstance(mesh, Surface) else build(v, f)
         wanted = min(examine, len(f))
         sample = probe.well_distributed(
             np.unique(np.linspace(0, len(f) - 1, wanted).astype(np.int64))
@@ -302,20 +182,6 @@ def health(
         examined=examined,
         findings=tuple(sorted(found, key=lambda finding: not finding.defect)),
     )
-
-
-def checked_mesh(vertices: ArrayLike, faces: ArrayLike | None) -> tuple[FloatArray, IntArray]:
-    """The arrays as ``(n, 3)`` float64 and ``(m, 3)`` int64, not copied if they already are.
-
-    Raises:
-        MeshError: as `health` says.
-    """
-    v, f = np.asarray(vertices, dtype=np.float64, order="C"), np.asarray(faces)
-    if not np.issubdtype(f.dtype, np.integer):
-        raise MeshError(f"faces must be integers of shape (m, 3), not {f.dtype} of {f.shape}")
-    if len(f) == 0:
-        raise MeshError("a mesh without faces")
-    return checked(v, np.ascontiguousarray(f, dtype=np.int64))
 
 
 def _note_edges(

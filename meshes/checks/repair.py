@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.builtin.shapes import Arrays
 from meshes.checks.bodies import Bodies, bodies
-from meshes.checks.health import NEAR, checked_mesh
+from meshes.checks.health import NEAR
+from meshes.checks.report import pluralized
 from meshes.checks.topology import Topology, topology
 from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
-from meshes.content import compact
-from meshes.formats.text import pluralized
+from meshes.content import Arrays, checked_mesh, compact
 from vf import Surface
-from vf.closest import SLIVER
 from vf.kernels import njit
+from vf.tree.closest import SLIVER
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

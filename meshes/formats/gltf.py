@@ -1,4 +1,4 @@
-"""Reading glTF 2.0 and GLB: the triangles of the default scene.
+"""Reading glTF 2.0 and GLB, the triangles of the default scene; writing GLB.
 
 An own reader: trimesh does not scale normalized integers, and ignores triangle fans, sparse
 accessors and required extensions. A file with a feature that is not supported is refused by the
@@ -8,6 +8,7 @@ name of that feature. Textures are never opened.
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -16,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes import frames
-from meshes.builtin.shapes import Arrays
 from meshes.content import (
     PLACED,
     SIZE_LIMIT,
+    Arrays,
     Content,
     allowed_placed,
     check_placed,
@@ -46,8 +47,13 @@ _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 _POINTS_AND_LINES, _TRIANGLES, _STRIP, _FAN = (0, 1, 2, 3), 4, 5, 6
 
 
-def read(data: bytes, kind: str, folder: Path) -> Content:
-    """Every placed body of a "glb" or "gltf", in metres.
+def read_glb(data: bytes, folder: Path) -> Content:
+    """As `read`, of a binary file."""
+    return _read(*_parts(data), len(data), folder)
+
+
+def read(data: bytes, folder: Path) -> Content:
+    """Every placed body of a glTF, in metres.
 
     Buffers in other files are opened beside or below ``folder``, and nowhere else.
 
@@ -55,9 +61,12 @@ def read(data: bytes, kind: str, folder: Path) -> Content:
         MeshError: cut off, damaged, with a feature that is not supported, or too many nodes,
             vertices or triangles, each counted as often as it is placed.
     """
-    header, chunk = _parts(data) if kind == "glb" else (_json(data), None)
+    return _read(_json(data), None, len(data), folder)
+
+
+def _read(header: dict[str, Any], chunk: bytes | None, size: int, folder: Path) -> Content:
     try:
-        return _content(header, chunk, len(data), folder)
+        return _content(header, chunk, size, folder)
     except MeshError:
         raise
     except KeyError as error:
@@ -382,3 +391,35 @@ class _File:
         if self.size > SIZE_LIMIT:
             raise MeshError(f"refers to {shown!r}, too large")
         return file.read_bytes()
+
+
+def write_glb(v: NDArray[np.float64], f: NDArray[np.int64], comment: str) -> bytes:
+    """The bytes of a GLB file, one body in single precision; see `meshes.formats.Format`."""
+    corners, points = f.astype("<u4").tobytes(), v.astype("<f4")
+    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+    views = [
+        {"buffer": 0, "byteLength": points.nbytes, "target": 34962},
+        {"buffer": 0, "byteOffset": points.nbytes, "byteLength": len(corners), "target": 34963},
+    ]
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": len(v), "type": "VEC3",
+         "min": low.tolist(), "max": high.tolist()},
+        {"bufferView": 1, "componentType": 5125, "count": f.size, "type": "SCALAR"},
+    ]  # fmt: skip
+    header = json.dumps(
+        {
+            "asset": {"version": "2.0", "generator": comment},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+            "buffers": [{"byteLength": points.nbytes + len(corners)}],
+            "bufferViews": views,
+            "accessors": accessors,
+        }
+    ).encode()
+    header += b" " * (-len(header) % 4)
+    body = points.tobytes() + corners
+    chunks = struct.pack("<2I", len(header), 0x4E4F534A) + header
+    chunks += struct.pack("<2I", len(body), 0x004E4942) + body
+    return b"glTF" + struct.pack("<2I", 2, 12 + len(chunks)) + chunks

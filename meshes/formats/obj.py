@@ -1,4 +1,4 @@
-"""Reading Wavefront OBJ: positions and faces.
+"""Reading and writing Wavefront OBJ: positions and faces.
 
 An own reader: trimesh splits positions with several normals or texture coordinates, drops unused
 vertices, and takes index 0 for the first vertex. Material files are never opened.
@@ -10,6 +10,7 @@ import re
 from array import array
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes import frames
 from meshes.content import Content, cut_off
@@ -122,3 +123,12 @@ def _polygon(words: list[bytes], vertices: int, corners: array[int], line: int) 
             )
         count += 1
     return count
+
+
+def write(v: NDArray[np.float64], f: NDArray[np.int64], comment: str) -> bytes:
+    """The bytes of an OBJ file, text, in double precision; see `meshes.formats.Format`."""
+    # OBJ has no counts; with these comments, as MeshLab writes them, a truncated file is detected.
+    lines = [f"# {comment}", f"# Vertices: {len(v)}", f"# Faces: {len(f)}"]
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in v.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (f + 1).tolist()]
+    return "\n".join([*lines, ""]).encode()

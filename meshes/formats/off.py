@@ -1,4 +1,4 @@
-"""Reading OFF: with or without colours and normals, with any line breaks."""
+"""Reading and writing OFF: with or without colours and normals, with any line breaks."""
 
 from __future__ import annotations
 
@@ -95,3 +95,11 @@ def _lines(body: bytes, vertices: int, faces: int) -> Parts:
     more = len(lines) - vertices - faces
     notes = (f"{more:,} lines after the last face are not looked at.",) if more else ()
     return points, np.array(corners, dtype=np.int64), counts, notes
+
+
+def write(v: NDArray[np.float64], f: NDArray[np.int64], comment: str) -> bytes:
+    """The bytes of an OFF file, text, in double precision; see `meshes.formats.Format`."""
+    lines = ["OFF", f"# {comment}", f"{len(v)} {len(f)} 0"]
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in v.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in f.tolist()]
+    return "\n".join([*lines, ""]).encode()

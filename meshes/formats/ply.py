@@ -1,4 +1,4 @@
-"""Reading PLY: text and binary, any properties, polygons and triangle strips.
+"""Reading and writing PLY: text and binary, any properties, polygons and triangle strips.
 
 An own reader: trimesh accepts a truncated text file as a smaller mesh, and reads neither strips nor
 binary polygons of several sizes.
@@ -300,3 +300,15 @@ def _walked(
         values = raw[starts + np.arange(int(sizes.sum()))].view(kind)
         columns[p.name] = (values, counts) if p.count else values
     return columns, place
+
+
+def write(v: NDArray[np.float64], f: NDArray[np.int64], comment: str) -> bytes:
+    """The bytes of a PLY file, binary, in double precision; see `meshes.formats.Format`."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
+        f"element vertex {len(v)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(f)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(f), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, f
+    return header.encode() + v.astype("<f8").tobytes() + rows.tobytes()

@@ -1,4 +1,4 @@
-"""Reading STL, text and binary, with the deviations of common programs.
+"""Reading and writing STL, text and binary, with the deviations of common programs.
 
 These are counts of zero, bytes after the last triangle, attributes followed by data, "solid" at the
 start of a binary file, names with keywords, and any white space. Truncated files are refused.
@@ -165,3 +165,16 @@ def _plausible(known: NDArray[np.void], more: NDArray[np.void]) -> bool:
         near = (corners > low - size) & (corners < high + size)
         lengths = np.linalg.norm(more["normal"], axis=1)
     return bool(near.all() and ((lengths == 0) | (np.abs(lengths - 1) < 0.01)).all())
+
+
+def write(v: NDArray[np.float64], f: NDArray[np.int64], comment: str) -> bytes:
+    """The bytes of an STL file, binary; see `meshes.formats.Format`."""
+    corners = v[f]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    rows = np.zeros(
+        len(f), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    )
+    rows["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    rows["corners"] = corners
+    return comment.encode().ljust(80) + len(f).to_bytes(4, "little") + rows.tobytes()

@@ -1,9 +1,8 @@
-"""Text files: detection, encodings, line ends, numbers, and texts of messages."""
+"""Text files: detection, encodings, line ends and numbers."""
 
 from __future__ import annotations
 
 import codecs
-import re
 import warnings
 from typing import Any
 
@@ -114,11 +113,3 @@ def open_end(text: bytes) -> tuple[str, ...]:
     if text[-1:] in (b"\n", b"\r", b""):
         return ()
     return ("The file ends within a line: if it was cut off there, its last triangle is wrong.",)
-
-
-def pluralized(text: str, n: int) -> str:
-    """A text with ``{n}`` replaced by a number, and ``[singular|plural]`` by the form it needs.
-
-    The text may hold no other braces or square brackets.
-    """
-    return re.sub(r"\[([^|]*)\|([^]]*)\]", r"\1" if n == 1 else r"\2", text).format(n=f"{n:,}")

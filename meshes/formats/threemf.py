@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.builtin.shapes import Arrays
-from meshes.content import Content, check_placed, check_unpacked, checked, moved
+from meshes.content import Arrays, Content, check_placed, check_unpacked, checked, moved
 from meshes.errors import MeshError
 from meshes.formats import text, xmlfile
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from meshes.builtin.shapes import Arrays
 from meshes.checks.topology import topology
-from meshes.content import compact
+from meshes.content import Arrays, compact
 from meshes.errors import MeshError
 from meshes.volume.cubes import triangles
 from meshes.volume.grid import FloatArray, Volume, extent, planes_at_once

@@ -17,7 +17,9 @@ from websockets.typing import Subprotocol
 
 from app.session import Session
 from app.settings import Options
-from app.view import Page, client_names, recorder
+from app.view import Page
+from app.view.clients import client_names
+from app.view.tabs import recorder
 from app.view.units import VIEW_SCALE
 from tests.support.watching import wait_until
 

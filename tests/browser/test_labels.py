@@ -14,9 +14,11 @@ import pytest
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import stage
 from app.session import Session
-from app.view import Page, camera, labels, recorder
+from app.view import Page, camera
+from app.view.controls.views import KEYS
+from app.view.drawing import labels
+from app.view.tabs import recorder
 from app.view.units import VIEW_SCALE
-from app.view.views import KEYS
 from tests.support.drawn_labels import Drawn, drawn_labels, overlapping
 from tests.support.watching import Visitor, wait_until
 

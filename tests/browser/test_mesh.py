@@ -13,7 +13,8 @@ import trimesh
 import meshes
 from app.session import Session
 from app.settings import Options
-from app.view import Page, health
+from app.view import Page
+from app.view.tabs import health
 from tests.support.watching import Visitor, wait_until
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ import trimesh
 
 from app.session import Session
 from app.view import Page
-from app.view.proxy import GIZMO_SIZE
+from app.view.drawing.proxy import GIZMO_SIZE
 from app.view.units import VIEW_SCALE
 from tests.support.watching import Track, Visitor, drawn_share, settle, wait_until
 

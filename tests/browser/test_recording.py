@@ -15,7 +15,9 @@ from app.recording import rerun
 from app.recording.read import read
 from app.session import Session
 from app.settings import Options
-from app.view import Page, pictures, recorder
+from app.view import Page
+from app.view.clients import pictures
+from app.view.tabs import recorder
 from tests.support.watching import ARTIFACTS, Visitor, drawn_share, wait_until
 
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import meshes
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 
 SHAPES = (
     "cube",

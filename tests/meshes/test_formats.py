@@ -9,12 +9,21 @@ import numpy as np
 import pytest
 
 import meshes
+from meshes.formats import TABLE, Format
 from tests.support.mesh_files import FILES, POINTS
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     a = vertices[faces]
     return float(np.einsum("ij,ij->", a[:, 0], np.cross(a[:, 1], a[:, 2]))) / 6
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=lambda entry: entry.title)
+def test_every_format_is_tested_and_named_where_formats_are_listed(entry: Format) -> None:
+    names = [file.removesuffix(".gz") for file, _ in FILES.values()]
+    assert any(name.endswith(f".{end}") for name in names for end in entry.ends)
+    assert entry.title in (Path(__file__).parents[2] / "docs/anatomy.md").read_text("utf-8")
+    assert entry.title in str(meshes.arrays.__doc__)
 
 
 @pytest.mark.parametrize("name", FILES)

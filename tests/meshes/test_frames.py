@@ -9,7 +9,7 @@ import pytest
 
 import meshes
 from meshes import frames
-from meshes.save import WRITABLE
+from meshes.formats import WRITABLE
 
 
 @pytest.mark.parametrize("kind", WRITABLE)

@@ -12,9 +12,9 @@ import meshes
 import vf
 from meshes.builtin.damage import SHARE, damage
 from meshes.checks import probe
-from meshes.checks.health import Health, health
+from meshes.checks.health import health
+from meshes.checks.report import MEANING, Health
 from meshes.checks.topology import topology
-from meshes.meaning import MEANING
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

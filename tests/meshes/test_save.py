@@ -10,7 +10,8 @@ import pytest
 import trimesh
 
 import meshes
-from meshes.save import WRITABLE, save
+from meshes.formats import WRITABLE
+from meshes.save import save
 
 
 @pytest.mark.parametrize("kind", WRITABLE)

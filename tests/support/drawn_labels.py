@@ -2,8 +2,8 @@
 
 viser draws all labels in one batch of rectangles (a white one behind each label's letters). Here
 the numbers of that batch go through the same steps as in its vertex shader, with the camera that
-three.js draws with. Nothing of that is known to `app.view.labels`, which tells the browser only a
-text, a point and an anchor.
+three.js draws with. Nothing of that is known to `app.view.drawing.labels`, which tells the browser
+only a text, a point and an anchor.
 """
 
 from __future__ import annotations

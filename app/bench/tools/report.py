@@ -1,4 +1,4 @@
-"""Prints results as tables and draws the figure."""
+"""The heading of printed results, and the figure of `bench runtime`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 
-from app.console import Column, show_table
 from app.words import format_length
 
 
@@ -24,111 +22,6 @@ def header(result: dict[str, Any], console: Console) -> None:
         f"machine: {about['processor']}, {about['cores']} cores, {about['system']}, "
         f"Python {about['python']}" + (f", load {load:.1f} before" if load is not None else "")
     )
-
-
-def runtime(result: dict[str, Any], console: Console) -> None:
-    """Tables of `bench runtime`."""
-    header(result, console)
-    for build in result["builds"]:
-        stages = ", ".join(f"{name} {t:.2f}" for name, t in build["stages [s]"].items())
-        console.print(
-            f"surface of {build['triangles']:,}: {build['total [s]']:.2f} s ({stages}), "
-            f"inside test {build['inside test [s]']:.2f} s, arrays {build['arrays [MB]']:.0f} MB"
-        )
-    rows = result["rows"]
-    parts = [name for name in rows[0]["parts [us]"] if name != "rest"]
-    names = ("rule", "r", "triangles", "in ball", "planes", "kHz", "p1", "median", "p99")
-    cells = []
-    for row in rows:
-        tick, split = row["tick [us]"], row["parts [us]"]
-        listed = f"{row['stages [us]']['list of the ball']:.0f}" if row["rule"] == "paper" else "–"
-        cells.append(
-            (
-                row["rule"],
-                format_length(row["radius [m]"]),
-                f"{row['triangles']:,}",
-                f"{row['in the ball']:,.0f}",
-                f"{row['planes']['mean']:,.1f}",
-                f"{row['rate [kHz]']:.2f}",
-                *(f"{tick[key]:.0f}" for key in ("p1", "median", "p99")),
-                *(f"{split[name]:.1f}" for name in parts),
-                f"{split['rest']:.1f}",
-                listed,
-            )
-        )
-    show_table(
-        console,
-        [Column(name, left=name == "rule") for name in (*names, *parts, "rest", "list")],
-        cells,
-        labels=3,
-        title="One tick of the PSM, medians in µs. The planes column of the certified rule is one "
-        "tree walk that finds and chooses them; 'list' is the sphere query that the paper's rule "
-        "starts with, timed on its own and part of its planes column.",
-    )
-    states = []
-    for row in rows:
-        shares = (
-            f"{100 * state['share']:.0f} %"
-            + (f" {state['tick [us]']:.0f}" if state["tick [us]"] is not None else "")
-            for state in row["states"].values()
-        )
-        states.append(
-            (row["rule"], format_length(row["radius [m]"]), f"{row['triangles']:,}", *shares)
-        )
-    show_table(
-        console,
-        [
-            Column(name, left=name == "rule")
-            for name in ("rule", "r", "triangles", *rows[0]["states"])
-        ],
-        states,
-        labels=3,
-        title="The same by contact state: share of the ticks, median in µs",
-    )
-    floor = result["floor [us]"]
-    console.print(
-        f"a tick that meets nothing: {floor['median']:.1f} µs "
-        f"(p1 {floor['p1']:.1f}, p99 {floor['p99']:.0f})"
-    )
-    for ratio in result["ratios"]:
-        bare = ratio.get("without inside test")
-        console.print(
-            f"{ratio['what']}, r = {format_length(ratio['radius [m]'])}: {ratio['ratio']:.2f}"
-            + (f" ({bare:.2f} without the inside test)" if bare is not None else "")
-        )
-
-
-def peers(result: dict[str, Any], console: Console) -> None:
-    """Tables of `bench peers`."""
-    header(result, console)
-    for task in result["tasks"]:
-        rows = []
-        for entry in task["entries"]:
-            good = entry["agrees"]
-            rows.append(
-                (
-                    escape(entry["name"]),
-                    *(f"{entry['us'][k]:.1f}" if good else "–" for k in ("median", "p99")),
-                    f"{entry['ratio']:.2f}" if good else "–",
-                    escape(entry["check"]) if good else f"[red]wrong: {escape(entry['check'])}[/]",
-                    escape(entry["note"]),
-                )
-            )
-        show_table(
-            console,
-            [
-                Column("library", left=True),
-                Column("median [µs]"),
-                Column("p99 [µs]"),
-                Column("× ours"),
-                Column("answers", left=True),
-                Column("note", left=True),
-            ],
-            rows,
-            title=task["what"],
-        )
-    for name, why in result["missing"].items():
-        console.print(f"not compared: {name} ({why})")
 
 
 def figure(result: dict[str, Any], file: Path) -> None:

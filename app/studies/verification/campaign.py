@@ -16,7 +16,7 @@ import robots
 import vf
 from app.judges import oracles
 from app.studies.verification import hands, scenes
-from meshes.builtin.shapes import Arrays
+from meshes.content import Arrays
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int], None]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.view import palette
-from app.view.fixture import MIN_PUSH
+from app.view.drawing.fixture import MIN_PUSH
 from app.view.inspector.compare import Forecasts
 from app.view.inspector.inspection import Inspection, Subject
 from vf import Cover, Edge, Feature, Rule, TriangleReport, Verdict

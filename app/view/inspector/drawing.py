@@ -7,11 +7,12 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.view import nodes, palette
+from app.view import palette
+from app.view.drawing import nodes
+from app.view.drawing.labels import Labels
 from app.view.inspector.descriptions import states
 from app.view.inspector.inspection import Inspection, Subject
 from app.view.inspector.region import Region
-from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]

@@ -7,12 +7,13 @@ import viser
 from numpy.typing import NDArray
 
 from app.scene.scene import Scene
-from app.view import nodes, palette
+from app.view import palette
 from app.view.camera import DIRECTION, FIELD_OF_VIEW, View
-from app.view.fixture import FixtureDrawing
+from app.view.drawing import nodes
+from app.view.drawing.fixture import FixtureDrawing
+from app.view.drawing.labels import Labels
 from app.view.inspector import figures
 from app.view.inspector.inspection import Inspection
-from app.view.labels import Labels
 from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]

@@ -333,7 +333,7 @@ def test_from_a_file_to_a_guarded_mesh(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_delays_pair_each_drag_with_the_first_move_after_it() -> None:
-    from app.bench.latency import delays_of
+    from app.bench.view import delays_of
 
     log = {
         "sent": [[100.0, 110.0], [500.0, 505.0], [900.0, 901.0], [1300.0, 1302.0]],
@@ -380,10 +380,10 @@ def test_a_soak_forgives_a_warm_up_and_a_spike() -> None:
 def test_a_drag_is_measured_in_a_window_as_people_have_one_and_says_in_which() -> None:
     from rich.console import Console
 
-    from app.bench import latency
+    from app.bench import view
     from app.bench.tools.watcher import WINDOW
 
-    assert (WINDOW["width"], WINDOW["height"], latency.RATIO) == (1440, 900, 1.0)
+    assert (WINDOW["width"], WINDOW["height"], view.RATIO) == (1440, 900, 1.0)
     opened: list[dict[str, Any]] = []
 
     class Browser:
@@ -392,7 +392,7 @@ def test_a_drag_is_measured_in_a_window_as_people_have_one_and_says_in_which() -
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        latency._serve_requests(Browser(), "http://127.0.0.1:1")
+        view._serve_requests(Browser(), "http://127.0.0.1:1")
     assert opened == [{"viewport": WINDOW, "device_scale_factor": 1.0}]
     loop = {"rate [Hz]": 1000.0, "punctual": 0.999, "late [us]": {"p99": 50.0}}
     result = {
@@ -423,7 +423,7 @@ def test_a_drag_is_measured_in_a_window_as_people_have_one_and_says_in_which() -
         "loop on autopilot": loop,
     }
     console = Console(record=True, width=80, force_terminal=False)
-    latency.show(result, console)
+    view.show(result, console)
     said = console.export_text()
     for words in ("7.5 pictures/s", "1440 × 900 at 1", "597 × 675 pixels", "not smoothed"):
         assert words in said

@@ -9,7 +9,7 @@ import pytest
 import meshes
 import robots
 import vf
-from app.control.autopilot import DEPTH, Autopilot, plan
+from app.control.autopilot import DEPTH, Autopilot, Course, plan
 from tests.support.brute import Oracle
 from tests.support.everyday import everyday
 
@@ -72,3 +72,17 @@ def test_a_mesh_with_nothing_below_the_tool_is_still_visited() -> None:
     path = np.array([autopilot.pose(t).translation for t in np.arange(0, autopilot.duration, 0.01)])
     assert np.isfinite(path).all()
     assert np.abs(path[:, 0]).max() > 0.019
+
+
+def test_a_course_passes_its_waypoints_at_rest() -> None:
+    way = Course(
+        np.eye(3), np.array([0.0, 1.0, 3.0]), np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0]])
+    )
+    at = lambda t: np.array(way.pose(t).translation)  # noqa: E731
+    np.testing.assert_allclose(at(0.0), way.points[0])
+    np.testing.assert_allclose(at(0.5), [0.5, 0, 0])
+    np.testing.assert_allclose(at(1.0), way.points[1])
+    np.testing.assert_allclose(at(2.0), [1, 1, 0])
+    np.testing.assert_array_equal(at(99.0), way.points[2])
+    for t in (0.0, 1.0, 3.0):
+        assert np.linalg.norm(at(t + 1e-3) - at(max(t - 1e-3, 0.0))) < 1e-7

@@ -14,7 +14,7 @@ from app.refused import Refused
 from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
-from app.view.corridor import far_end
+from app.view.controls.corridor import far_end
 from app.words import OptionError
 
 SKULL = Options(mesh="skull-coarse", robot="point", corridor=1e-3)

@@ -17,8 +17,10 @@ from app.scenarios.staging import course
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
-from app.view import anatomy, camera, palette, readouts, signals
-from app.view.proxy import GIZMO_SIZE
+from app.view import camera, palette
+from app.view.drawing import anatomy
+from app.view.drawing.proxy import GIZMO_SIZE
+from app.view.tabs import readouts, signals
 from tests.support.runs import run_headless
 
 HEIGHT = 900  # of the picture on a usual screen [px]
@@ -167,8 +169,8 @@ def test_linear_colours_are_displayed_as_those_of_the_legend() -> None:
 
 
 def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
-    from app.view.fixture import MAX_PLANES, FixtureDrawing
-    from app.view.labels import Labels
+    from app.view.drawing.fixture import MAX_PLANES, FixtureDrawing
+    from app.view.drawing.labels import Labels
 
     p_tip = np.array(scene.T_base_start.translation) - np.array([0.0, 0.0, 0.014])
     planes = vf.certified_planes(scene.surface, p_tip, radius=5e-3)

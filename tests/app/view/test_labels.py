@@ -16,9 +16,19 @@ from PIL import ImageFont
 
 from app.scene import scene as scenes
 from app.settings import Options
-from app.view import labels
-from app.view.labels import UNBOUNDED, Box, Camera, Candidate, Labels, arrange, box, choices, size
-from app.view.ruler import Rulers
+from app.view.drawing import labels
+from app.view.drawing.labels import (
+    UNBOUNDED,
+    Box,
+    Camera,
+    Candidate,
+    Labels,
+    arrange,
+    box,
+    choices,
+    size,
+)
+from app.view.drawing.ruler import Rulers
 
 PIXELS = st.floats(-500.0, 2500.0)
 ANCHORS = tuple(labels._CHOICES)

@@ -25,10 +25,14 @@ from app.scene import worker
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, client_names, help, keys, palette, recorder, signals, trail
-from app.view.client_input import ClientInput
-from app.view.depth import signed_distance
+from app.view import Page, camera, palette
+from app.view.clients import client_names
+from app.view.clients.client_input import ClientInput
+from app.view.controls import help, keys
+from app.view.drawing import trail
 from app.view.part import Clients, Part
+from app.view.tabs import recorder, signals
+from app.view.tabs.depth import signed_distance
 from app.view.units import VIEW_SCALE
 from tests.support.headless import wait_until
 from tests.support.runs import run_headless

@@ -16,11 +16,12 @@ from app.control.messages import LoopStats, Telemetry
 from app.recording.playback import Moment
 from app.session import Session
 from app.settings import Options
-from app.view import palette, readouts
-from app.view.depth import whereabouts
-from app.view.measuring import Measuring
+from app.view import palette
+from app.view.tabs import readouts
+from app.view.tabs.depth import whereabouts
+from app.view.tabs.measuring import Measuring
 from tests.support.headless import wait_until
-from vf.qp import Solver
+from vf.qp.least_squares import Solver
 
 
 @pytest.fixture(scope="module")

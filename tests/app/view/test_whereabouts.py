@@ -17,8 +17,8 @@ import robots
 import vf
 from app.session import Session
 from app.settings import Options
-from app.view import readouts
-from app.view.depth import Whereabouts, free_line, shaft, whereabouts
+from app.view.tabs import readouts
+from app.view.tabs.depth import Whereabouts, free_line, shaft, whereabouts
 from tests.support.headless import wait_until
 
 

@@ -1,0 +1,1 @@
+"""What belongs to one browser: its camera, input, name, Escape key, pictures, uploads."""

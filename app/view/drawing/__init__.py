@@ -1,0 +1,1 @@
+"""What the page draws in the scene, one module a part."""

@@ -1,0 +1,40 @@
+"""Layer: the point where the tool's tip crossed the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from app.control.watch import Crossing
+from app.recording.playback import Moment
+from app.view import palette
+from app.view.drawing.labels import Labels
+from app.view.part import Clients, Part
+from app.view.units import to_view
+
+
+class CrossingMark(Part):
+    """A dot and a label at the first crossing since the last reset or change of scene."""
+
+    def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
+        self._dot = api.add_point_cloud(
+            "/crossing/dot",
+            points=np.zeros((1, 3), dtype=np.float32),
+            colors=np.array([palette.ALARM], dtype=np.uint8),
+            point_size=0.1,
+            point_shape="circle",
+            visible=False,
+        )
+        self._label = labels.add("/crossing/label", anchor="top-left")
+        self._shown: Crossing | None = None
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        crossing = shown.crossing
+        if crossing is self._shown:
+            return
+        self._shown = crossing
+        self._dot.visible = self._label.visible = crossing is not None
+        if crossing is not None:
+            self._dot.position = self._label.position = to_view(crossing.point)
+            what = "crossed" if crossing.centre else "touched"
+            self._label.text = f"✕ {what} at tick {crossing.tick:,}"

@@ -1,0 +1,115 @@
+"""Section: the anatomy cut by a plane through the tip, facing the eye."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from trimesh import intersections
+
+from app.recording.playback import Moment
+from app.scene.scene import Scene
+from app.view.drawing.anatomy import Anatomy
+from app.view.part import Clients, Part
+from app.view.units import to_view
+from app.view.worker import Worker
+
+FloatArray = NDArray[np.float64]
+
+PERIOD = 0.4  # shortest time between two cuts, as each is sent to all browsers [s]
+# Smaller motions of the plane make no new cut.
+SHIFT = 1e-4  # [m]
+TURN = np.cos(np.deg2rad(2.0))  # as a cosine
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A plane through `point` (3,) [m]; the side that `normal` (3,) points to is removed."""
+
+    scene: Scene
+    point: FloatArray
+    normal: FloatArray
+
+    def near(self, other: Cut | None) -> bool:
+        """Whether another cut is nearly the same."""
+        return (
+            other is not None
+            and other.scene is self.scene
+            and abs(float((other.point - self.point) @ self.normal)) < SHIFT
+            and float(other.normal @ self.normal) > TURN
+        )
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """The rest of the drawn mesh: vertices (n, 3) [m], faces (m, 3)."""
+
+    cut: Cut
+    vertices: FloatArray
+    faces: NDArray[np.int64]
+
+
+class Section(Part):
+    """Cuts the anatomy facing one client's eye, on a thread of its own; all clients see it.
+
+    `toggle` is called on the input worker and changes one attribute; all else is the view thread's.
+    """
+
+    def __init__(self, anatomy: Anatomy) -> None:
+        self._anatomy = anatomy
+        self._worker: Worker[Cut, Remainder] = Worker("section", make)
+        self._client_id: int | None = None  # the client that the cut faces; None: no section
+        self._requested: Cut | None = None
+        self._requested_at = 0.0  # monotonic time [s]
+        self._drawn: Remainder | None = None
+
+    @property
+    def on(self) -> bool:
+        """Whether the anatomy is cut."""
+        return self._client_id is not None
+
+    def toggle(self, client: viser.ClientHandle) -> None:
+        """Cut the anatomy facing this client's eye, or end the section."""
+        self._client_id = None if self.on else client.client_id
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        self.update(shown.scene, clients, np.array(shown.tip.translation))
+
+    def update(
+        self, scene: Scene, clients: dict[int, viser.ClientHandle], p_tip: FloatArray
+    ) -> None:
+        """Keep the cut at the tip, (3,) [m], facing the eye."""
+        client = None if self._client_id is None else clients.get(self._client_id)
+        if client is None:
+            self._client_id = self._requested = None
+            if self._drawn is not None:
+                self._drawn = None
+                self._anatomy.cut(None)
+            return
+        now = time.monotonic()
+        away = client.camera.position - to_view(p_tip)
+        length = float(np.linalg.norm(away))
+        if now > self._requested_at + PERIOD and length > 0.0:
+            cut = Cut(scene, np.array(p_tip), away / length)
+            if not cut.near(self._requested):
+                self._requested_at, self._requested = now, cut
+                self._worker.request(cut)
+        part = self._worker.latest()
+        if part is None or self._requested is None or part is self._drawn:
+            return
+        # A result from before the section was last switched off is of another cut.
+        if part.cut.scene is scene and part.cut.near(self._requested):
+            self._drawn = part
+            self._anatomy.cut((part.vertices, part.faces))
+
+
+def make(cut: Cut) -> Remainder:
+    """Cut the drawn mesh of a scene."""
+    vertices, faces = cut.scene.vertices_shown, cut.scene.faces_shown
+    kept, corners, _ = intersections.slice_faces_plane(vertices, faces, -cut.normal, cut.point)
+    if len(corners) == 0:  # a node needs a triangle
+        kept, corners = np.tile(cut.point, (3, 1)), np.array([[0, 1, 2]])
+    return Remainder(cut, np.asarray(kept, dtype=np.float64), np.asarray(corners, dtype=np.int64))

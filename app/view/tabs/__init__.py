@@ -1,0 +1,1 @@
+"""The panel on the left: read-outs, signals, the mesh, recordings."""

@@ -1,0 +1,49 @@
+"""Measurements of the view between two read-outs."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.control.messages import Telemetry
+from app.recording.playback import Moment
+from app.view.tabs.depth import Whereabouts, whereabouts
+from app.view.tabs.readouts import Extras
+
+
+class Measuring:
+    """Called from the view thread, once per read-out."""
+
+    def __init__(self) -> None:
+        self._newest: Telemetry | None = None
+        self._newest_since = time.monotonic()
+        self._count = 0
+        self._before: Telemetry | None = None  # at the last read-out
+        self._tip_before: NDArray[np.float64] | None = None
+
+    def measure(self, shown: Moment, unwatched: int, ended: str) -> Extras:
+        """Measure one moment; `unwatched` and `ended` as in `Extras`."""
+        scene, telemetry = shown.scene, shown.telemetry
+        step = telemetry.step
+        in_sphere, speed = 0, 0.0
+        where: Whereabouts | None = None
+        if step is not None and telemetry.scene == scene.version:
+            p_tip = np.array(step.tip.translation)
+            reach = step.radius + shown.options.tip_radius
+            in_sphere = len(scene.surface.within(p_tip, reach).triangles)
+            where = whereabouts(scene, telemetry.q, p_tip, shown.options.tip_radius, shown.crossing)
+            before = self._before
+            if before is not None and self._tip_before is not None:
+                elapsed = telemetry.time - before.time
+                if elapsed > 0.0 and before.scene == telemetry.scene:
+                    speed = float(np.linalg.norm(p_tip - self._tip_before)) / elapsed
+            self._before, self._tip_before = telemetry, p_tip
+        now = time.monotonic()
+        if telemetry is not self._newest:  # a paused loop, too, sends new telemetry
+            self._newest, self._newest_since = telemetry, now
+        self._count += 1
+        joints = tuple(scene.arm.joints)
+        silent = now - self._newest_since
+        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched, ended)

@@ -1,0 +1,339 @@
+"""Read-outs, banner and legend as HTML, from one tick's telemetry. Pure functions."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+
+import numpy as np
+
+import vf
+from app.control.messages import Telemetry
+from app.control.watch import Crossing
+from app.settings import Options
+from app.view import palette
+from app.view.drawing.fixture import MIN_PUSH
+from app.view.tabs.depth import Whereabouts
+
+_HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
+_NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
+_VALUE = "padding:0;text-align:right;white-space:nowrap"
+_UNIT = "padding:0 0 0 5px;color:var(--vf-faint)"
+_GLOSS = "color:var(--vf-faint);font-size:10.5px"
+_ALARM = f"padding:0 5px;background:{palette.css(palette.ALARM)};color:#fff"
+
+SILENCE = 0.7  # a control loop without new telemetry for longer is reported [s]
+# A watchdog in CSS: each read-out replaces these elements and so restarts their animations. Three
+# seconds without one (a dead server, a blocked tab) the numbers fade and the note appears.
+_WATCHDOG = (
+    "<style>@keyframes vf-fade{to{opacity:.3}}@keyframes vf-note{to{opacity:1}}"
+    ".vf-numbers{animation:vf-fade .3s 3s forwards}"
+    ".vf-old{animation:vf-note .3s 3s forwards;opacity:0;pointer-events:none;position:absolute;"
+    "z-index:1;left:.75em;right:.75em;top:38%;padding:6px 9px;border-left:5px solid "
+    f"{palette.css(palette.VERMILION)};background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px}}</style>"
+    "<div class='vf-old'>Old numbers: nothing came from the sandbox for three seconds.</div>"
+)
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What `app.view.tabs.measuring` adds to the telemetry.
+
+    Attributes:
+        in_sphere: number of triangles within the motion sphere, enlarged by the tip's radius.
+        speed: mean speed of the tool tip since the last read-out [m/s].
+        joints: names of the arm's joints.
+        silent: time since the last new telemetry [s].
+        count: number of the read-out; makes each HTML differ from the last.
+        where: position relative to the anatomy; None: no tick yet.
+        unwatched: ticks that were not tested for a crossing.
+        ended: why the control loop ended by itself; empty: it did not.
+    """
+
+    in_sphere: int
+    speed: float
+    joints: tuple[str, ...]
+    silent: float = 0.0
+    count: int = 0
+    where: Whereabouts | None = None
+    unwatched: int = 0
+    ended: str = ""
+
+
+def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
+    """The table of read-outs."""
+    stats, step = telemetry.stats, telemetry.step
+    rows = [_section("Tool")]
+    if step is None:
+        rows.append(_row("waiting for the first tick", ""))
+    else:
+        rows += [
+            *_distance_rows(extras),
+            _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
+            _row("proxy to tool", _error(telemetry), "mm"),
+            _force_row(float(np.linalg.norm(step.force))),
+            _section("Fixture"),
+            _row("rule", options.rule),
+            _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
+            _row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
+            _row("active planes", f"{len(step.planes):,}", " "),
+            *_by_condition(step),
+            _row("QP", palette.SOLVER_HELP[step.solver]),
+            _row("outcome", step.status.name),
+        ]
+    rows += [
+        _section("Control loop"),
+        _row("rate", f"{stats.rate:,.0f}", "Hz"),
+        _row("tick, median", f"{stats.tick_median * 1e6:,.0f}", "µs"),
+        _row("tick, worst of 1 s", f"{stats.tick_worst * 1e6:,.0f}", "µs"),
+        _row("overruns", f"{stats.overruns:,}", " "),
+    ]
+    outcomes = [_section("Ticks by outcome")]
+    outcomes += [
+        _row(s.name, f"{stats.counts.get(s, 0):,}", gloss=palette.STATUS_HELP[s]) for s in vf.Status
+    ]
+    mark = f"class='vf-numbers' data-count='{extras.count}'"
+    return (
+        f"<div style='position:relative'>{_WATCHDOG}{_table(rows, mark)}{_table(outcomes, mark)}"
+        "</div>"
+    )
+
+
+def _table(rows: list[str], mark: str) -> str:
+    return (
+        f"<table {mark} style='width:calc(100% - 1.5em);margin:0 .75em .5em;font-size:12px;"
+        "line-height:1.32;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
+        + "".join(rows)
+        + "</table>"
+    )
+
+
+def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: bool) -> str:
+    """The state in one line, with a colour for its urgency; above it a crossing, until a reset."""
+    text, color = _state(telemetry, options, extras, clutched)
+    where = extras.where
+    if where is None:
+        return _line(text, color)
+    if where.crossing is not None:
+        return _line(text, palette.css(palette.ALARM), _crossing_text(where, where.crossing))
+    if where.shaft_crosses:
+        return _line(text, color, remark="The shaft is in the mesh: only the tip is guarded.")
+    return _line(text, color)
+
+
+def note(text: str) -> str:
+    """The banner with any text."""
+    return _line(text, palette.css(palette.BLUE))
+
+
+def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
+    parts = [html.escape(text)]
+    if latch:
+        # White on red, on light and dark panels.
+        style = f"display:inline-block;padding:0 5px;margin:0 -5px;background:{color};color:#fff"
+        parts.insert(0, f"<b style='{style}'>{html.escape(latch)}</b>")
+    if remark:
+        orange = palette.css(palette.ORANGE)
+        parts.append(f"<span style='border-bottom:2px solid {orange}'>{html.escape(remark)}</span>")
+    return (
+        "<div class='vf-banner' "
+        f"style='margin:0 .75em .35em;padding:3px 9px;border-left:5px solid {color};"
+        "background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px;line-height:1.35;"
+        # At least three lines high, so that the controls below keep their place.
+        f"min-height:calc(4.05em + 6px)'>{'<br>'.join(parts)}</div>"
+    )
+
+
+def _crossing_text(where: Whereabouts, crossing: Crossing) -> str:
+    """Where the tip met the mesh, where it is now, and what to do."""
+    what = "Crossed" if crossing.centre else "Touched by the tip’s ball"
+    if where.inside:
+        now = f"{where.distance * 1e3:.2f} mm deep in the anatomy: Reset."
+    elif where.beyond:
+        now = f"On the far side, {where.from_crossing * 1e3:.2f} mm from there: Reset."
+    elif where.overlaps:
+        now = f"The tip’s ball overlaps the mesh by {-where.gap * 1e3:.2f} mm: Reset."
+    else:
+        now = "Back on the near side; Reset clears this."
+    return (
+        f"{what} at tick {crossing.tick:,}, triangle #{crossing.triangle:,} "
+        f"(rule {crossing.rule}). {now}"
+    )
+
+
+def _reach_name(extras: Extras) -> str:
+    ball = extras.where is not None and extras.where.tip_radius > 0.0
+    return "triangles in ball’s reach" if ball else "triangles in sphere"
+
+
+def _distance_rows(extras: Extras) -> list[str]:
+    """Distance, depth and crossings, whatever the rule."""
+    where = extras.where
+    if where is None:
+        return [_row("distance to surface", "–", "mm"), _row("depth below surface", "–", "mm")]
+    distance = f"{where.distance * 1e3:.3f}"
+    if where.tip_radius > 0.0:
+        rows = [
+            _row("tip’s centre to surface", distance, "mm"),
+            _row("tip’s ball to surface", f"{where.gap * 1e3:.3f}", "mm"),
+        ]
+    else:
+        rows = [_row("distance to surface", distance, "mm")]
+    if where.beyond:
+        rows.append(_row("depth below crossing", f"{where.from_crossing * 1e3:.3f}", "mm"))
+    else:
+        outside = "0.000" if where.closed else "–"  # an open mesh has no inside
+        rows.append(_row("depth below surface", distance if where.inside else outside, "mm"))
+    seen, name = "none", "crossing"
+    if where.crossing is not None:
+        name = "crossing" if where.crossing.centre else "touch"
+        seen = f"tick {where.crossing.tick:,}"
+    if extras.unwatched:
+        seen += f"; {extras.unwatched:,} ticks unseen"
+    rows.append(_row(name, seen, alarm=where.crossing is not None))
+    return rows
+
+
+def legend() -> str:
+    """HTML legend of the colours."""
+    signs = [
+        (look.color, f"<b>{html.escape(look.name)}</b>: {html.escape(look.meaning)}")
+        for look in palette.LOOKS.values()
+    ]
+    signs += [
+        (palette.BLOCKING, "<b>ring and arrow</b>: the plane that holds the tool back most"),
+        (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
+        (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
+        (palette.FORCE, f"<b>{palette.FORCE_NAME}</b> on the hand: arrow, plot and number"),
+        (palette.PROBE, "<b>probe</b> of the inspector"),
+    ]
+    signs += [
+        (look.color, f"<b>inspector, {html.escape(look.name)}</b>: {html.escape(look.meaning)}")
+        for state, look in palette.TRIANGLE_STATES.items()
+        if state in (palette.TriangleState.CERTIFIED, palette.TriangleState.INACTIVE)
+    ]
+    rows = "".join(
+        "<div style='display:flex;gap:7px;margin-bottom:2px'><span style='flex:none;width:11px;"
+        "height:11px;margin-top:3px;border-radius:2px;border:1px solid var(--vf-faint);"
+        f"background:{palette.css(color)}'></span>"
+        f"<span>{text}</span></div>"
+        for color, text in signs
+    )
+    return (
+        f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
+        "<div style='color:var(--vf-faint);margin-top:4px'>Filled triangles gave the discs of the "
+        "same colour; the fuller a disc’s colour, the more the tool leans on it. A mere ring is a "
+        "plane farther off, when there are many.</div></div>"
+    )
+
+
+def _state(
+    telemetry: Telemetry, options: Options, extras: Extras, clutched: bool
+) -> tuple[str, str]:
+    """Text and colour of the most urgent state."""
+    step = telemetry.step
+    orange, red = palette.css(palette.ORANGE), palette.css(palette.VERMILION)
+    calm, busy = palette.css(palette.GREEN), palette.css(palette.BLUE)
+    if extras.ended:
+        text = f"The control loop ended ({extras.ended}). The tool is held; nothing is lost."
+        return f"{text} Restart it below.", red
+    if extras.silent > SILENCE:
+        return f"The control loop has been silent for {extras.silent:.0f} s.", red
+    where = extras.where
+    inside = where is not None and where.inside
+    if telemetry.paused:
+        place = "The tool is inside the anatomy. " if inside else ""
+        return f"Paused. {place}Run, or step tick by tick.", orange
+    if telemetry.stale:
+        return "Stale: no message from the dragging client, the tool holds.", red
+    if step is not None and step.status == vf.Status.INSIDE:
+        return "Inside the anatomy: only motion towards the outside passes.", red
+    if step is not None and step.status == vf.Status.REFUSED:
+        return "Refused: the proxy is not usable, the tool holds.", red
+    if clutched:
+        return "Clutched: the handle moves alone, the tool holds.", orange
+    if telemetry.target is None and not telemetry.autopilot:
+        if inside:
+            return "The tool rests inside the anatomy: drag the gizmo, or Reset.", red
+        return "Ready: drag the gizmo.", calm
+    if step is None:
+        return "Starting …", calm
+    if step.status == vf.Status.HELD:
+        return f"Held: no safe step this tick (QP: {palette.SOLVER_HELP[step.solver]}).", red
+    at_limit = [
+        f"{name} ({'upper' if side > 0 else 'lower'})"
+        for name, side in zip(extras.joints, step.limits, strict=False)
+        if side != 0
+    ]
+    if at_limit:
+        return f"Joint limit: {', '.join(at_limit)}.", orange
+    if options.rule == "off":
+        return "No fixture (rule off): nothing stops the tool.", orange
+    if step.status == vf.Status.RECOVERING:
+        return "Recovering: the tool is led out to the standoff.", orange
+    if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
+        n = int((step.multipliers > MIN_PUSH).sum())
+        force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
+        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}): {force}.", busy
+    if step.status == vf.Status.SHORTENED:
+        return "Only a part of the step was safe.", busy
+    if inside:
+        return "Inside the anatomy, and no plane holds the tool back.", red
+    if where is not None and where.overlaps:
+        return f"The tip’s ball overlaps the mesh by {-where.gap * 1e3:.2f} mm.", orange
+    if telemetry.autopilot:
+        return "Autopilot: a scripted proxy is moving.", calm
+    if where is not None and not where.free:
+        return "No plane holds the tool back.", calm
+    return "Free.", calm
+
+
+def _by_condition(step: vf.Step) -> list[str]:
+    rows = []
+    for rule, look in palette.LOOKS.items():
+        n = int((step.planes.rules == rule).sum())
+        # The three conditions are always listed, so that the rows below keep their place.
+        if n or rule in (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY):
+            dot = f"<span style='color:{palette.css(look.color)}'>■</span> {html.escape(look.name)}"
+            rows.append(
+                f"<tr><td style='{_NAME};padding-left:8px'>{dot}</td>"
+                f"<td style='{_VALUE}'>{n}</td><td></td></tr>"
+            )
+    return rows
+
+
+def _force_row(force: float) -> str:
+    color = palette.css(palette.FORCE)
+    return (
+        f"<tr><td style='{_NAME}'>{palette.FORCE_NAME}</td>"
+        f"<td style='{_VALUE};color:{color};font-weight:600'>{force:.2f}</td>"
+        f"<td style='{_UNIT}'>N</td></tr>"
+    )
+
+
+def _error(telemetry: Telemetry) -> str:
+    if telemetry.target is None or telemetry.step is None:
+        return "–"
+    gap = telemetry.target.translation - telemetry.step.tip.translation
+    return f"{np.linalg.norm(gap) * 1e3:.2f}"
+
+
+def _section(title: str) -> str:
+    return f"<tr><td colspan=3 style='{_HEAD}'>{html.escape(title)}</td></tr>"
+
+
+def _row(name: str, value: str, unit: str = "", gloss: str = "", *, alarm: bool = False) -> str:
+    """One row. Numbers have a unit, " " for a count; a text without a unit spans two columns.
+
+    An alarm is white on red, as the banner is, which may be scrolled out of view.
+    """
+    if gloss:
+        gloss = f" <span style='{_GLOSS}'>{html.escape(gloss)}</span>"
+    text = html.escape(value)
+    if alarm:
+        text = f"<b style='{_ALARM}'>{text}</b>"
+    return f"<tr><td style='{_NAME}'>{html.escape(name)}{gloss}</td>" + (
+        f"<td style='{_VALUE}'>{text}</td><td style='{_UNIT}'>{unit}</td></tr>"
+        if unit
+        else f"<td colspan=2 style='{_VALUE}'>{text}</td></tr>"
+    )

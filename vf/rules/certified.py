@@ -1,0 +1,295 @@
+"""The certified rule: planes that keep the tool off any triangle soup.
+
+Claim. Let every plane have n·x ≥ o, let every part of the mesh within the ball be strictly behind
+some plane, and let a step end at y with |y − x| ≤ radius and n·y ≥ o for all planes. Then the
+segment from x to y touches no triangle.
+Proof. x and y lie in the convex set C = ball ∩ {n·z ≥ o for all planes}, so the segment does. A
+point of the mesh in C would be in the ball and strictly behind some plane: a contradiction. ∎
+
+For a tip of radius ρ read "within ρ of the segment" for "touches": the ball searched has radius
+r + ρ and "behind" is judged against o − ρ.
+
+In floating point: n·z of a point with coordinates up to M is known to within `ROUND`·M. Whatever
+counts as behind a plane is behind it by more than that, a plane stands in front of what is behind
+it by several times that, and the ball searched is larger by what a distance can be wrong.
+
+The planes come from one best-first walk of the PD-tree. Planes only accumulate and distances only
+grow, so what is behind a plane when it is met never needs another look.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vf import layout as at
+from vf.kernels import bits_as_float, float_as_bits, njit
+from vf.planes import ROUND, FloatArray, Planes, checked_length, checked_point, planes_of
+from vf.rules.behind import box_behind, less_of_bumps, rounding_of, since, triangle_behind
+from vf.rules.clip import closest_on_polygon, polygon_within, remainder
+from vf.rules.queue import pop, push
+from vf.rules.separate import separate
+from vf.surface import Surface
+from vf.tree.pdtree import (
+    EXACT,
+    Tree,
+    box_distance2,
+    children_of,
+    triangle_distance2,
+    triangles_of,
+)
+
+BUDGET = 64
+# On top of the standoff, plane number k (from 0) is moved towards x by this share of its distance,
+# times k. The nearest plane loses nothing, the next ones next to nothing, and in contact none does;
+# far facets share planes. In a bowl, where every facet would want its own, this is a third of the
+# planes and keeps the budget from being spent, for about a percent of the free space.
+EASE = 0.004
+# Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
+BUMPY = 0.75
+# In full only for what is this many standoffs away, though, and nearer in proportion: in contact
+# with a shallow bowl either of two faces would be a bump of the other, and the tool would hop from
+# the plane of one to that of the other.
+NEAR = 20.0
+# Every plane leaves the tip this much room, or a share of the room there is where that is less:
+# between two opposing planes through x itself a tool could not even slide, as no step of an arm is
+# straight and no solver exact [m]. Recovery wins it back.
+YIELD = 1e-8
+YIELD_SHARE = 0.05
+# Less room than this many rounding errors is none: no plane separates x from the triangle.
+FAINT = 64.0
+# Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
+HEAP = 4096
+SEEN = 128  # more than BUDGET
+CORNERS = BUDGET + 4  # of what is left of a triangle: each plane adds one at most
+
+
+def certified_planes(
+    surface: Surface,
+    x: ArrayLike,
+    radius: float,
+    standoff: float = 0.0,
+    tip_radius: float = 0.0,
+) -> Planes:
+    """Separating planes for which every step that obeys them crosses no triangle.
+
+    Args:
+        surface: any triangle soup.
+        x: (3,) centre of the tool tip [m].
+        radius: of the motion sphere: how far a step may go [m].
+        standoff: how far the planes are moved from the mesh towards x, at most up to x [m].
+        tip_radius: of the spherical cutter around x [m].
+
+    Returns:
+        Planes with n·x ≥ o. `radius` is smaller than asked for where the budget of 64 planes was
+        spent, and 0 where x lies on a triangle within rounding; the claim then holds for that ball.
+
+    Raises:
+        ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`).
+    """
+    p = checked_point(x)
+    radius = checked_length("radius", radius)
+    standoff = checked_length("standoff", standoff)
+    tip_radius = checked_length("tip radius", tip_radius)
+    return cover(surface, p, radius, standoff, tip_radius)
+
+
+class Triangles(Protocol):
+    """What the walk looks at of a `Surface`, or of a part of one."""
+
+    @property
+    def tree(self) -> Tree: ...
+    @property
+    def edges(self) -> NDArray[np.int8]: ...
+
+
+def cover(
+    surface: Triangles, x: FloatArray, radius: float, standoff: float, tip_radius: float
+) -> Planes:
+    """`certified_planes` for arguments that are known to be sound."""
+    planes = np.empty((BUDGET, at.PLANE))
+    tree = surface.tree
+    m, reach = walk_alone(
+        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
+        x, radius, standoff, tip_radius, EASE, planes,
+    )  # fmt: skip
+    return planes_of(planes[:m], reach)
+
+
+@njit(cache=True, nogil=True)
+def walk(  # type: ignore[no-untyped-def]
+    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+    planes, first, queue, polygons,
+):  # fmt: skip
+    """Planes for a tip at p (3,), from row `first` on: their number and the radius they hold in.
+
+    Args:
+        nodes, corners, order, slivers: a `pdtree.Tree`.
+        edges: (≥ m, 3) values of `Edge`, the caller's triangles.
+        walls: triangles (a, b, b) stand for walls through a and b along z, and p[2] is 0.
+        ease: `EASE`, or less.
+        planes: (k, PLANE) written; at most `BUDGET` of them.
+        queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
+    """
+    # An entry of the queue knows only so many planes, whatever room there is for more.
+    budget = min(planes.shape[0] - first, BUDGET)
+    planes = planes[first:]
+    polygon, spare = polygons[0], polygons[1]
+    x, y, z = p[0], p[1], p[2]
+    near = ROUND * (max(abs(x), abs(y), abs(z)) + radius + tip_radius)
+    # By what a computed distance to a box or a triangle (but a sliver) may be too large.
+    blur = EXACT + near
+    reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
+    reach2 = reach * reach
+    # A point z of the mesh is behind plane i when n·z is below its LIMIT, of which its BUMP is for
+    # bumps and counts less and less for triangles nearer than `far`.
+    far = tip_radius + NEAR * standoff
+    # The queue holds squared distances, items and masks. A waiting node is its number, a waiting
+    # triangle −1 − its number; times SEEN, plus the number of planes it has already been tested
+    # against. Its mask says which of these hide a part of it: only they can hide what is in it.
+    m = 0
+    valid = radius
+    size = 0
+    # How near the tip's centre may come to anything: no nearer than it is, or the tip's radius.
+    deepest = tip_radius
+    nearest = 0.0  # space between the tip and what is nearest
+    # The nearest of what was just opened is often the nearest of all: it need not queue.
+    next2 = box_distance2(nodes, 0, x, y, z)
+    next_item = 0
+    next_mask = 0
+    while True:
+        d2, item, mask = next2, next_item, next_mask
+        if size > 0 and queue[0, 0] < next2:
+            d2, item, mask = queue[0, 0], int(queue[0, 1]), float_as_bits(queue[0, 2])
+            pop(queue, size)
+            size -= 1
+            if next2 <= reach2:
+                push(queue, size, next2, next_item, bits_as_float(next_mask))
+                size += 1
+        next2 = np.inf
+        if d2 > reach2:
+            break
+        seen = item % SEEN
+        item = item // SEEN
+        less = less_of_bumps(d2, tip_radius, far)
+        if item >= 0:
+            hidden, cut = box_behind(nodes, item, planes, less, near, since(seen, m))
+            if hidden:
+                continue
+            mask |= cut
+            link = nodes[item, 15]
+            if link > 0.0:
+                first, last = children_of(link)
+            else:
+                first, last = triangles_of(link)
+            if size + last - first >= HEAP:
+                valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
+                break
+            for entry in range(first, last):
+                if link > 0.0:
+                    e2 = box_distance2(nodes, entry, x, y, z)
+                    if e2 > reach2:
+                        continue
+                    hidden, cut = box_behind(
+                        nodes, entry, planes, less_of_bumps(e2, tip_radius, far), near, mask
+                    )
+                    if hidden:
+                        continue
+                else:
+                    hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
+                    if hidden:
+                        continue
+                    e2 = triangle_distance2(corners, entry, x, y, z)
+                    if slivers[entry] > 0.0:
+                        e2 = max(np.sqrt(e2) - slivers[entry], 0.0) ** 2
+                # A box's bound may round to just above its parent's triangles: never go back.
+                e2 = max(e2, d2)
+                if e2 > reach2:
+                    continue
+                new = (entry if link > 0.0 else -1 - entry) * SEEN + m
+                if e2 < next2:
+                    e2, next2 = next2, e2
+                    new, next_item = next_item, new
+                    cut, next_mask = next_mask, cut
+                if e2 <= reach2:
+                    push(queue, size, e2, new, bits_as_float(cut))
+                    size += 1
+            continue
+
+        t = -1 - item
+        hidden, cut = triangle_behind(corners, t, planes, less, near, since(seen, m))
+        if hidden:
+            continue
+        rounding = rounding_of(corners, t, near)
+        corners_left, swapped = remainder(
+            corners, t, planes, less, rounding, mask | cut, polygon, spare
+        )
+        if corners_left == 0:
+            continue
+        rest = spare if swapped else polygon
+        px, py, pz, rest2 = closest_on_polygon(rest, corners_left, x, y, z)
+        if rest2 > reach2 and not polygon_within(rest, corners_left, x, y, z, reach):
+            continue
+        if m == budget:
+            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
+            break
+        rule, nx, ny, nz, base, px, py, pz = separate(
+            corners, order, edges, walls, t, rest, corners_left, px, py, pz, rest2, rounding,
+            tip_radius, x, y, z, planes, m,
+        )  # fmt: skip
+        room = nx * x + ny * y + nz * z
+        clear = room - base
+        faint = FAINT * rounding
+        if not clear > faint:
+            # x is on the triangle within rounding: no plane separates them, so no step is safe.
+            valid = 0.0
+            break
+        low = base + 4.0 * rounding
+        space = clear - tip_radius
+        if m == 0:
+            deepest = min(tip_radius, clear)
+            nearest = space
+        if space > faint:
+            kept = max(standoff, faint)
+            if space < kept:
+                # Below the standoff a tool between two walls may go as near to the farther one as
+                # it is to the nearer one: it keeps to the middle.
+                kept = min(space, max(nearest, faint))
+            eased = ease * m * (space - kept)
+            offset = min(base + tip_radius + kept + eased, room - min(YIELD, YIELD_SHARE * space))
+            limit = max(base + BUMPY * kept + eased, low)
+            bump = min(BUMPY * kept, limit - low)
+            floor = limit + tip_radius
+        else:
+            # The tip overlaps the triangle: what can be promised is about its centre, and that it
+            # comes no nearer to anything than it is to the nearest.
+            kept = max(deepest, 0.5 * faint)
+            offset = room - min(YIELD, YIELD_SHARE * kept)
+            limit = max(low, room - kept)
+            bump = 0.0
+            floor = limit
+        plane = planes[m]
+        plane[at.NORMAL], plane[at.NORMAL + 1], plane[at.NORMAL + 2] = nx, ny, nz
+        plane[at.OFFSET] = offset
+        plane[at.FLOOR] = floor
+        plane[at.FOOT], plane[at.FOOT + 1], plane[at.FOOT + 2] = px, py, pz
+        plane[at.TRIANGLE] = order[t]
+        plane[at.RULE] = rule
+        plane[at.FIXTURE] = plane[at.CAPSULE] = plane[at.POINT] = plane[at.PUSH] = 0.0
+        plane[at.LIMIT] = limit
+        plane[at.BUMP] = bump
+        m += 1
+    return m, valid
+
+
+@njit(cache=True, nogil=True)
+def walk_alone(  # type: ignore[no-untyped-def]
+    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease, planes
+):  # fmt: skip
+    """`walk` with room of its own to work in, for a single call from Python."""
+    return walk(
+        nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+        planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
+    )  # fmt: skip

@@ -1,0 +1,28 @@
+"""What a tick needs to choose a fixture's planes by itself."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vf.planes import FloatArray
+from vf.tree.pdtree import Tree
+
+
+class Search(NamedTuple):
+    """What a tick needs to look for a fixture's planes itself.
+
+    Attributes:
+        kind: `layout.MESH` or `layout.WALLED`.
+        tree, edges: what `cover.walk` goes through.
+        walls: (k, corridor.WALL) of a corridor, else empty.
+        frame: (8,) of a corridor: its axes, width and hair; else empty.
+    """
+
+    kind: int
+    tree: Tree
+    edges: NDArray[np.int8]
+    walls: FloatArray = np.empty((0, 7))
+    frame: FloatArray = np.empty(0)

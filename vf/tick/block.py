@@ -1,0 +1,120 @@
+"""The memory that a tick works in, as `vf.layout` describes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vf import layout as at
+from vf.planes import FloatArray, IntArray
+from vf.qp.active_set import scratch_size
+from vf.rules.certified import BUDGET, CORNERS, HEAP
+from vf.rules.search import Search
+from vf.tick.chain import LINK
+
+
+class Block:
+    """Arrays of a tick, and the words that lead the kernels to them. Not thread-safe.
+
+    Attributes:
+        words: (WORDS,) see `vf.layout`, at `address`; the other arrays are parts by the names of
+            their words.
+        report: bytes of REPORT and of the planes behind it.
+        head: bytes of REPORT.
+    """
+
+    def __init__(self, n: int, chain: FloatArray | None, searches: Sequence[Search | None]) -> None:
+        """For n joints.
+
+        Args:
+            chain: of the arm, see `vf.tick.chain`; None: it answers itself.
+            searches: one for each fixture; None: it answers itself.
+        """
+        self.words = np.zeros(at.WORDS, dtype=np.int64)
+        self.address = self.words.ctypes.data
+        # What the addresses lead to must not go away.
+        self._searched = tuple(searches)
+        self._parts: dict[int, NDArray[np.generic]] = {}
+        self.n = n
+        links = 0 if chain is None else len(chain)
+        points = 1  # the tip
+        for word, count in (
+            (at.JOINTS, n), (at.LINKS, links), (at.FIXTURES, len(searches)),
+            (at.POINTS, points),
+        ):  # fmt: skip
+            self.words[word] = count
+        self.chain = self._part(at.CHAIN, links, LINK)
+        self.chain[:] = 0.0 if chain is None else chain
+        self._part(at.AXES, links, 6)
+        self.numbers = self._part(at.NUMBERS, at.SCALARS)
+        self.table = self._part(at.TABLE, at.JOINT_ROWS, n)
+        self.jacobian = self._part(at.JACOBIAN, 6, n)
+        self._part(at.JACOBIANS, points, 3, n)
+        self.places = self._part(at.PLACES, points, 3)
+        self.trials = self._part(at.TRIALS, points, 3)
+        self._part(at.ERRORS, points, 3)
+        self._part(at.BULGES, points)
+        self.start = self._part(at.START, 3, 4)
+        self.tip = self._part(at.TIP, 3, 4)
+        self._part(at.BEST, 3, 4)
+        self.solution = self._part(at.SOLUTION, n)
+        self._part(at.QUEUE, HEAP, 3)
+        self._part(at.POLYGONS, 2, CORNERS, 3)
+        self.sides = self._part(at.SIDES, len(searches), at.SIDE)
+        self.sides[:] = np.nan
+        self._searches(searches)
+        self.head = 8 * (at.HEAD + 2 * n)
+        self.reserve(max(len(searches), 1) * BUDGET)
+
+    def reserve(self, rows: int) -> None:
+        """Have room for that many planes, which lose what they say."""
+        n, head = self.n, self.head // 8
+        self.room = self.words[at.ROOM] = rows
+        whole = np.zeros(head + rows * at.PLANE)
+        self.words[at.REPORT] = whole.ctypes.data
+        self.words[at.PLANES] = whole.ctypes.data + self.head
+        self.planes = whole[head:].reshape(rows, at.PLANE)
+        self.report = whole.data.cast("B")
+        self._part(at.ROWS, rows, n)
+        self._part(at.BOUNDS, rows)
+        self._part(at.OTHER_BOUNDS, rows)
+        self._part(at.MULTIPLIERS, rows)
+        self.duals = self._part(at.DUALS, rows + 2 * n)
+        size = scratch_size(n, rows + 2 * n)
+        self.scratch = self._part(at.SCRATCH, size)
+        self.words[at.SCRATCH_SIZE] = size
+
+    def _part(self, word: int, *shape: int) -> FloatArray:
+        """A new part; what the word led to before is forgotten."""
+        part = np.zeros(shape)
+        self._lead(word, part)
+        return part
+
+    def _lead(self, word: int, part: NDArray[np.generic]) -> None:
+        self.words[word] = part.ctypes.data
+        self._parts[word] = part
+
+    def _searches(self, searches: Sequence[Search | None]) -> None:
+        table: IntArray = np.zeros((len(searches), at.SEARCH), dtype=np.int64)
+        for row, search in zip(table, searches, strict=True):
+            if search is None:
+                row[at.KIND] = at.GIVEN
+                continue
+            tree = search.tree
+            row[at.KIND] = search.kind
+            row[at.NODE_COUNT] = len(tree.nodes)
+            row[at.TRIANGLES] = len(tree.corners)
+            row[at.WALL_COUNT] = len(search.walls)
+            for word, array in (
+                (at.NODES, tree.nodes), (at.CORNERS, tree.corners),
+                (at.ORDER, tree.order), (at.SLIVERS, tree.errors),
+                (at.EDGES, search.edges), (at.WALLS, search.walls),
+                (at.FRAME, search.frame),
+            ):  # fmt: skip
+                if not array.flags.c_contiguous:
+                    raise ValueError("what a fixture lets a tick search must be contiguous")
+                row[word] = array.ctypes.data
+        self.searches = table
+        self._lead(at.SEARCHES, table)

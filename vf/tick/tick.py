@@ -1,0 +1,207 @@
+"""A tick in one compiled call: from measured joints and target to checked joints, planes and force.
+
+`tick` goes on until it is done or has a question that only Python can answer: an arm or a fixture
+of the user's own, the side of a tip that no step led to, a problem that is left to a solver. It
+then says which, and goes on from there when it is called again. All it works with is in a block
+(`vf.tick.block`), described in `vf.layout`.
+"""
+
+from __future__ import annotations
+
+import numba
+
+from vf import layout as at
+from vf.kernels import floats_at, integers_at, njit, now
+from vf.planes import LARGEST
+from vf.qp.problem import JOINT_RANGE, desired_step, fill_rows, obeys, usable
+from vf.qp.solver import Solver
+from vf.tick.attempts import ask, bisect, next_attempt, set_trial, settle, shortened
+from vf.tick.chain import LINK, jacobian, tip_pose
+from vf.tick.report import write_report
+from vf.tick.search import search_planes, set_radius, sides_known
+
+INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
+
+
+@njit(cache=True)
+def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
+    """Begin a tick, or go on with it.
+
+    Args:
+        address: of the words (at.WORDS,) of the block.
+        q: joint positions [rad or m], the same throughout a tick.
+        goal: (4, 4) pose of the target, base frame, likewise.
+        phase: at.BEGIN, or what the last call asked for.
+
+    Returns:
+        How many planes the report has: the tick is done. Or less than zero: minus the phase to go
+        on with when its question is answered, or minus the reason why there is nothing to do.
+    """
+    words = numba.carray(integers_at(address), (at.WORDS,))
+    n = words[at.JOINTS]
+    numbers = numba.carray(floats_at(words[at.NUMBERS]), (at.SCALARS,))
+    table = numba.carray(floats_at(words[at.TABLE]), (at.JOINT_ROWS, n))
+    start = numba.carray(floats_at(words[at.START]), (3, 4))
+    J = numba.carray(floats_at(words[at.JACOBIAN]), (6, n))
+    if phase == at.BEGIN:
+        if q.shape[0] != n:
+            return -at.NO_JOINTS
+        total = 0.0
+        for j in range(n):
+            table[at.POSITION, j] = q[j]
+            total += abs(q[j])
+        # Rounding of the sines of larger angles would be as large as what is guarded.
+        if not total <= JOINT_RANGE:
+            return -at.NO_JOINTS
+        if words[at.LINKS] == 0:
+            return -at.PLACED
+        _place(words, table[at.POSITION], start)
+        axes = numba.carray(floats_at(words[at.AXES]), (words[at.LINKS], 6))
+        chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+        jacobian(chain, axes, start[0, 3], start[1, 3], start[2, 3], J)
+        phase = at.PLACED
+    points = words[at.POINTS]
+    places = numba.carray(floats_at(words[at.PLACES]), (points, 3))
+    jacobians = numba.carray(floats_at(words[at.JACOBIANS]), (points, 3, n))
+    if phase == at.PLACED:
+        numbers[at.MARKS] = now()
+        if words[at.LINKS] == 0 and not _placed(start, J):
+            return -at.NO_JOINTS
+        if not usable(goal):
+            return -at.NO_TARGET
+        for k in range(3):
+            places[0, k] = start[k, 3]
+            for j in range(n):
+                jacobians[0, k, j] = J[k, j]
+        if not sides_known(words, places[0]):
+            return -at.SIDED
+        phase = at.SIDED
+    planes = numba.carray(floats_at(words[at.PLANES]), (words[at.ROOM], at.PLANE))
+    if phase == at.SIDED:
+        set_radius(words, numbers, J, table[at.SPEED])
+        if words[at.INSIDE] > 0 or not search_planes(words, numbers, planes, places[0]):
+            return -at.FOUND
+        phase = at.FOUND
+
+    m = words[at.COUNT]
+    bounds = numba.carray(floats_at(words[at.BOUNDS]), (words[at.ROOM],))
+    multipliers = numba.carray(floats_at(words[at.MULTIPLIERS]), (words[at.ROOM],))
+    scratch = numba.carray(floats_at(words[at.SCRATCH]), (words[at.SCRATCH_SIZE],))
+    if phase == at.FOUND:
+        # The step ends within the motion sphere, and its path within what was searched for it.
+        radius, reach = numbers[at.RADIUS], numbers[at.REACH]
+        numbers[at.ALLOWED] = min(reach, radius)
+        whole = reach >= numbers[at.SEARCHED]
+        numbers[at.FARTHEST] = reach - numbers[at.BEYOND] if whole else reach
+        numbers[at.LONGEST] = min(numbers[at.ALLOWED], numbers[at.TIP_REACH])
+        numbers[at.MARKS + 1] = now()
+        desired_step(
+            start,
+            goal,
+            numbers[at.ALLOWED],
+            numbers[at.LENGTH],
+            numbers[at.DESIRED : at.DESIRED + 6],
+        )
+        for j in range(n):
+            for k in range(3):
+                table[at.TASK + k, j] = J[k, j]
+                table[at.TASK + 3 + k, j] = numbers[at.LENGTH] * J[3 + k, j]
+            # A joint pushed beyond its limit may stay or come back, so that zero is allowed.
+            table[at.LOWER, j] = min(table[at.LOWEST, j] - table[at.POSITION, j], 0.0)
+            table[at.UPPER, j] = max(table[at.HIGHEST, j] - table[at.POSITION, j], 0.0)
+        rows = numba.carray(floats_at(words[at.ROWS]), (words[at.ROOM], n))
+        numbers[at.DISTANCE], numbers[at.DEFICIT] = fill_rows(
+            planes, m, places, jacobians, numbers[at.STANDOFF], numbers[at.TIP_RADIUS], rows, bounds
+        )
+        words[at.STAGE] = at.WHOLE
+        if ask(words, numbers, table, bounds, scratch, multipliers):
+            return -at.SOLVED
+        phase = at.SOLVED
+
+    trials = numba.carray(floats_at(words[at.TRIALS]), (points, 3))
+    bulges = numba.carray(floats_at(words[at.BULGES]), (points,))
+    tip = numba.carray(floats_at(words[at.TIP]), (3, 4))
+    allowed = False
+    while True:
+        if phase == at.SOLVED:
+            if words[at.LEFT] > 0:
+                settle(words, n, table, scratch, multipliers)
+            if words[at.STAGE] <= at.RELAXED:
+                infeasible = words[at.SOLVER] == INFEASIBLE
+                if infeasible and numbers[at.DEFICIT] > 0.0 and words[at.STAGE] == at.WHOLE:
+                    # Recovery may be more than the joints can do; standing still never is.
+                    for i in range(m):
+                        bounds[i] = min(bounds[i], 0.0)
+                    words[at.STAGE] = at.RELAXED
+                    if ask(words, numbers, table, bounds, scratch, multipliers):
+                        return -at.SOLVED
+                    continue
+                words[at.FOUND_BY] = words[at.SOLVER]
+                for i in range(m):
+                    planes[i, at.PUSH] = multipliers[i]
+                moves = shortened(numbers, table, J, scratch, at.STEP)
+                numbers[at.MARKS + 2] = now()
+                if not moves:
+                    numbers[at.SHARE] = 1.0
+                    table[at.TRIAL] = table[at.POSITION]
+                    tip[:] = start
+                    return write_report(words, numbers, table, goal, tip, planes, places[0])
+                set_trial(numbers, table, jacobians, at.STEP, 1.0, bulges)
+            elif words[at.SOLVER] == INFEASIBLE:
+                bisect(words, numbers, table, start, jacobians, bulges)
+            else:
+                shortened(numbers, table, J, scratch, at.OTHER)
+                set_trial(numbers, table, jacobians, at.OTHER, 1.0, bulges)
+            if words[at.LINKS] == 0:
+                return -at.TRIED
+            _place(words, table[at.TRIAL], tip)
+            phase = at.TRIED
+        if phase == at.TRIED:
+            for k in range(3):
+                trials[0, k] = tip[k, 3]
+            allowed = obeys(
+                planes, m, places, trials, bulges, numbers[at.FARTHEST], numbers[at.LONGEST]
+            )
+            if allowed and words[at.INSIDE] > 0:
+                return -at.JUDGED
+        else:
+            allowed = words[at.ANSWER] > 0
+        if allowed and words[at.STAGE] < at.PART:
+            # The optimum in the tick's bounds, whichever way it was had.
+            numbers[at.SHARE] = 1.0
+            return write_report(words, numbers, table, goal, tip, planes, trials[0])
+        phase = next_attempt(
+            words, numbers, table, planes, places, trials, jacobians, bulges, scratch, multipliers,
+            allowed, start, tip,
+        )  # fmt: skip
+        if phase == at.SOLVED:
+            if words[at.LEFT] > 0:
+                return -at.SOLVED
+            continue
+        if phase == at.DONE:
+            for k in range(3):
+                trials[0, k] = tip[k, 3]
+            return write_report(words, numbers, table, goal, tip, planes, trials[0])
+        if words[at.LINKS] == 0:
+            return -at.TRIED
+        _place(words, table[at.TRIAL], tip)
+
+
+@njit(cache=True)
+def _place(words, q, pose):  # type: ignore[no-untyped-def]
+    """Pose (3, 4) of the tip for joints q (n,), by the chain."""
+    chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+    axes = numba.carray(floats_at(words[at.AXES]), (words[at.LINKS], 6))
+    tip_pose(chain, q, pose, axes)
+
+
+@njit(cache=True)
+def _placed(start, J):  # type: ignore[no-untyped-def]
+    """Whether an arm that answers itself said where its tip (3, 4) is and how it moves (6, n)."""
+    total = 0.0
+    for k in range(3):
+        if not abs(start[k, 3]) <= LARGEST:
+            return False
+        for j in range(J.shape[1]):
+            total += abs(J[k, j]) + abs(J[3 + k, j])
+    return total <= LARGEST
