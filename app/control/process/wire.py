@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 import vf
+from app.control.clock import Timing
 from app.control.engine import Engine, Orders, Plant, State
 from app.control.messages import Command, LoopStats, Telemetry
 
@@ -25,7 +26,6 @@ _ORDERS = struct.Struct("<QQ6?qqqdd12d")
 _TICK = struct.Struct("<Q8?qqqqqqQdQBB?5xddd")
 _POSE = 96  # of a pose (3, 4) [byte]
 _NO_POSE = bytes(_POSE)
-NONE, TICKED, SKIPPED = 0, 1, 2  # what a period was
 
 
 def pack_orders(number: int, plant: int, orders: Orders) -> bytes:
@@ -74,24 +74,6 @@ def unpack_orders(message: bytes, plant: Plant) -> Orders:
         scale=scale,
         lock_orientation=lock,
     )
-
-
-class Timing:
-    """What the loop says of a period, kept until the next message. See `clock.Clock`."""
-
-    def __init__(self) -> None:
-        self.stats = LoopStats()
-        self.last: tuple[int, int, bool, float, float, float] = (NONE, 0, False, 0.0, 0.0, 0.0)
-
-    def record(
-        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
-    ) -> None:
-        """Note one tick."""
-        self.last = TICKED, int(status), overrun, started, late, spent
-
-    def skip(self, started: float) -> None:
-        """Note a period without a tick."""
-        self.last = SKIPPED, 0, False, started, 0.0, 0.0
 
 
 class Teller:

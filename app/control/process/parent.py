@@ -19,15 +19,15 @@ from collections.abc import Callable
 from typing import Any
 
 import vf
-from app.control import surfaces, wire
-from app.control.channel import Channel
-from app.control.clock import Clock
+from app.control.clock import SKIPPED, TICKED, Clock
 from app.control.engine import Orders, Plant, State
 from app.control.host import Host
 from app.control.mailbox import Mailbox
 from app.control.messages import LoopStats, Telemetry
 from app.control.plant import describe
-from app.control.shared import ROOM, Memory, Queue, Slot
+from app.control.process import surfaces, wire
+from app.control.process.channel import Channel
+from app.control.process.shared import ROOM, Memory, Queue, Slot
 from app.recording.capture import Tape
 from app.refused import Refused
 
@@ -62,7 +62,7 @@ class Child:
             # Outside the terminal's process group: Ctrl-C goes to the page's process alone.
             self.process = subprocess.Popen(
                 [
-                    sys.executable, "-m", "app.control.child",
+                    sys.executable, "-m", "app.control.process.child",
                     str(theirs.fileno()), str(memory.fd),
                 ],
                 stdin=subprocess.DEVNULL,
@@ -394,9 +394,9 @@ class ControlProcess(Host):
                     if tape is not None:
                         tape.lose()
                 what, status, overrun, started, late, spent = told.timing
-                if what == wire.TICKED:
+                if what == TICKED:
                     self.clock.record(vf.Status(status), started, late, spent, overrun)
-                elif what == wire.SKIPPED:
+                elif what == SKIPPED:
                     self.clock.skip(started)
                 orders = self._orders_of(told.order)
                 if tape is not None:
