@@ -107,7 +107,11 @@ class Session:
             self._writer = OrderWriter(orders, self._loop.orders)
 
     def __enter__(self) -> Session:
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(self, *_error: object) -> None:
