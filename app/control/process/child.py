@@ -39,7 +39,7 @@ from app.control.process.shared import Memory, Queue, Slot
 log = logging.getLogger("vf-sandbox control")
 
 HOLD_ALONE = 5.0  # how long the simulated arm is held when nobody is left to give orders [s]
-PERIOD = 0.05  # between two looks at the loop [s]
+PERIOD = 0.2  # between two looks at the loop; each may keep a tick waiting for microseconds [s]
 
 
 class Inbox(Mailbox[Orders]):

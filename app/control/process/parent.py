@@ -193,6 +193,7 @@ class ControlProcess(Host):
         self._slot = Slot(child.memory.data[: Slot.SIZE])
         self._queue = Queue(child.memory.data[Slot.SIZE :])
         self._dt = dt
+        self._listener = wire.Listener(dt)
         self._watch, self._missed = watch, missed
         self.clock = Clock(dt)
         self._changed = threading.Condition()  # something came from the process
@@ -336,7 +337,8 @@ class ControlProcess(Host):
         found = self._queue.newest()
         if found is None or found[0] == number:
             return None
-        return found[0], wire.unpack(found[1], self.clock.stats, self._dt, None).telemetry
+        told = wire.Listener(self._dt).told(found[1], self.clock.stats, None)
+        return found[0], told.telemetry
 
     def _run(self) -> None:
         """Read messages and ticks until the process ends."""
@@ -386,7 +388,7 @@ class ControlProcess(Host):
             for number, message in self._queue.take():
                 lost = number - self._taken - 1
                 before = self._state.step if lost == 0 else None
-                told = wire.unpack(message, self.clock.stats, self._dt, before)
+                told = self._listener.told(message, self.clock.stats, before)
                 self._taken = number
                 tape = self._tape
                 if lost > 0:

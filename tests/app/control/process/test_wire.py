@@ -99,13 +99,13 @@ def test_ticks_come_as_they_were_to_the_last_bit(plant: Plant, refusing: bool) -
     ]
     engine = Engine(still)
     timing = Timing()
-    teller = wire.Teller(engine, timing)
+    teller, listener = wire.Teller(engine, timing), wire.Listener(plant.dt)
     before, known = None, None
     pressing = 0
     for number, (orders, ticks) in enumerate(script):
         for _ in range(ticks):
             telemetry, ticked = engine.advance(orders, STATS)
-            told = wire.unpack(teller.message(number, telemetry, ticked), STATS, plant.dt, known)
+            told = listener.told(teller.message(number, telemetry, ticked), STATS, known)
             assert (told.order, told.ticked) == (number, ticked)
             assert row(told.telemetry, told.ticked, known) == row(telemetry, ticked, before)
             assert same_pose(told.telemetry.origin, telemetry.origin)
