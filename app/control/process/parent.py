@@ -22,6 +22,7 @@ from app.control.host import Host
 from app.control.mailbox import Mailbox
 from app.control.messages import LoopStats, Telemetry
 from app.control.plant import describe
+from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.control.process import surfaces, wire
 from app.control.process.handle import PATIENCE, Child
 from app.control.process.shared import Queue, Slot
@@ -256,6 +257,8 @@ class ControlProcess(Host):
 
     def _run(self) -> None:
         """Read messages and ticks until the process ends."""
+        # As those of the page's threads that wait for the interpreter lock when this one has it.
+        raise_thread_priority(VIEW_PRIORITY)
         channel = self._child.channel
         while True:
             ready, _, _ = select.select([channel], [], [], PERIOD)
