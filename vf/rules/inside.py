@@ -183,7 +183,7 @@ def _blur(surface: Surface) -> float:
 
 
 def _outside(surface: Surface, x: FloatArray) -> bool:
-    """Whether the winding number around x (3,) is 0, which not every point off the inside has."""
+    """Whether the winding number around x (3,) is 0. Where it is 2, x is not inside either."""
     return abs(surface.winding(x)) < 0.5
 
 
