@@ -41,29 +41,30 @@ from vf.tree.pdtree import (
     triangles_of,
 )
 
-BUDGET = 64
-# On top of the standoff, plane number k (from 0) is moved towards x by this share of its distance,
-# times k. The nearest plane loses nothing, the next ones next to nothing, and in contact none does;
-# far facets share planes. In a bowl, where every facet would want its own, this is a third of the
-# planes and keeps the budget from being spent, for about a percent of the free space.
+BUDGET = 64  # planes that a walk may choose; masks have one bit for each
+# On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
+# distance. The nearest plane and planes in contact are not moved. Moved planes cover several far
+# facets each: in a bowl, where every facet needs a plane of its own, this is a third of the planes
+# for about a percent of the free space, and the budget lasts.
 EASE = 0.004
-# Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
+# Parts of the mesh that stand out of the covered region by up to this share of the standoff get no
+# plane of their own (a bump); the remaining share of the standoff keeps the tool off them.
 BUMPY = 0.75
-# In full only for what is this many standoffs away, though, and nearer in proportion: in contact
-# with a shallow bowl either of two faces would be a bump of the other, and the tool would hop from
-# the plane of one to that of the other.
+# This holds in full from this many standoffs away, and closer in proportion to the distance: in
+# contact with a shallow bowl each of two faces would be a bump of the other, and the tool would
+# alternate between their planes.
 NEAR = 20.0
-# Every plane leaves the tip this much room, or a share of the room there is where that is less:
-# between two opposing planes through x itself a tool could not even slide, as no step of an arm is
-# straight and no solver exact [m]. Recovery wins it back.
+# A plane is at least this far below x [m], or YIELD_SHARE of the space to the mesh where that is
+# less: between two opposing planes through x a tool could not slide, since no step of an arm is
+# exactly straight and no solver exact. Recovery leads the tool back by it.
 YIELD = 1e-8
 YIELD_SHARE = 0.05
-# Less room than this many rounding errors is none: no plane separates x from the triangle.
+# Space of fewer rounding errors than this counts as none: no plane separates x from the triangle.
 FAINT = 64.0
-# Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
+# Capacity of the queue. When it is full, the walk ends and the radius shrinks to what is settled.
 HEAP = 4096
-SEEN = 128  # more than BUDGET
-CORNERS = BUDGET + 4  # of what is left of a triangle: each plane adds one at most
+SEEN = 128  # items of the queue count planes modulo this; more than BUDGET
+CORNERS = BUDGET + 4  # of the polygon left of a triangle: each plane adds one corner at most
 
 
 def certified_planes(
@@ -97,7 +98,7 @@ def certified_planes(
 
 
 class Triangles(Protocol):
-    """What the walk looks at of a `Surface`, or of a part of one."""
+    """What the walk needs of a `Surface`, or of a part of one."""
 
     @property
     def tree(self) -> Tree: ...
@@ -108,7 +109,7 @@ class Triangles(Protocol):
 def cover(
     surface: Triangles, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
-    """`certified_planes` for arguments that are known to be sound."""
+    """`certified_planes` for arguments that have been checked."""
     planes = np.empty((BUDGET, at.PLANE))
     tree = surface.tree
     m, reach = walk_alone(
@@ -133,29 +134,29 @@ def walk(  # type: ignore[no-untyped-def]
         planes: (k, PLANE) written; at most `BUDGET` of them.
         queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
     """
-    # An entry of the queue knows only so many planes, whatever room there is for more.
+    # Masks have a bit for each plane, so there are no more than BUDGET however long `planes` is.
     budget = min(planes.shape[0] - first, BUDGET)
     planes = planes[first:]
     polygon, spare = polygons[0], polygons[1]
     x, y, z = p[0], p[1], p[2]
     near = ROUND * (max(abs(x), abs(y), abs(z)) + radius + tip_radius)
-    # By what a computed distance to a box or a triangle (but a sliver) may be too large.
+    # A computed distance to a box, or to a triangle but a sliver, is too large by at most this.
     blur = EXACT + near
     reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
     reach2 = reach * reach
     # A point z of the mesh is behind plane i when n·z is below its LIMIT, of which its BUMP is for
     # bumps and counts less and less for triangles nearer than `far`.
     far = tip_radius + NEAR * standoff
-    # The queue holds squared distances, items and masks. A waiting node is its number, a waiting
-    # triangle −1 − its number; times SEEN, plus the number of planes it has already been tested
-    # against. Its mask says which of these hide a part of it: only they can hide what is in it.
+    # The queue holds squared distances, items and masks. An item is the number of a node, or −1 −
+    # the number of a triangle, times SEEN, plus how many planes it has been tested against. The
+    # mask has those of them that a part of it is behind: what is in it cannot be behind any other.
     m = 0
     valid = radius
     size = 0
-    # How near the tip's centre may come to anything: no nearer than it is, or the tip's radius.
+    # The tip's centre may come this close to the mesh: its radius, or the distance if that is less.
     deepest = tip_radius
-    nearest = 0.0  # space between the tip and what is nearest
-    # The nearest of what was just opened is often the nearest of all: it need not queue.
+    nearest = 0.0  # space between the tip and the nearest triangle
+    # The nearest child of the node just opened is often the next item: it is kept out of the queue.
     next2 = box_distance2(nodes, 0, x, y, z)
     next_item = 0
     next_mask = 0
@@ -204,7 +205,7 @@ def walk(  # type: ignore[no-untyped-def]
                     e2 = triangle_distance2(corners, entry, x, y, z)
                     if slivers[entry] > 0.0:
                         e2 = max(np.sqrt(e2) - slivers[entry], 0.0) ** 2
-                # A box's bound may round to just above its parent's triangles: never go back.
+                # Rounding may put a child nearer than its parent: keys must not decrease.
                 e2 = max(e2, d2)
                 if e2 > reach2:
                     continue
@@ -254,8 +255,8 @@ def walk(  # type: ignore[no-untyped-def]
         if space > faint:
             kept = max(standoff, faint)
             if space < kept:
-                # Below the standoff a tool between two walls may go as near to the farther one as
-                # it is to the nearer one: it keeps to the middle.
+                # Between two walls less than two standoffs apart the tool may come as close to
+                # the farther wall as it is to the nearer one, so that it can stay in the middle.
                 kept = min(space, max(nearest, faint))
             eased = ease * m * (space - kept)
             offset = min(base + tip_radius + kept + eased, room - min(YIELD, YIELD_SHARE * space))
@@ -263,8 +264,8 @@ def walk(  # type: ignore[no-untyped-def]
             bump = min(BUMPY * kept, limit - low)
             floor = limit + tip_radius
         else:
-            # The tip overlaps the triangle: what can be promised is about its centre, and that it
-            # comes no nearer to anything than it is to the nearest.
+            # The tip overlaps the triangle: the planes then guarantee that its centre comes no
+            # closer to any triangle than it is to the nearest one now.
             kept = max(deepest, 0.5 * faint)
             offset = room - min(YIELD, YIELD_SHARE * kept)
             limit = max(low, room - kept)
@@ -288,7 +289,7 @@ def walk(  # type: ignore[no-untyped-def]
 def walk_alone(  # type: ignore[no-untyped-def]
     nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease, planes
 ):  # fmt: skip
-    """`walk` with room of its own to work in, for a single call from Python."""
+    """`walk` with its own working memory, for a single call from Python."""
     return walk(
         nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
         planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),

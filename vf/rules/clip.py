@@ -11,7 +11,7 @@ from vf.tree.closest import closest_on_triangle, distance_error
 
 @njit(cache=True, nogil=True)
 def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-def]
-    """Part of a convex polygon with n·z ≥ limit, left in `spare`; returns its corner count."""
+    """Write the part of a convex polygon with n·z ≥ limit to `spare`; returns its corner count."""
     kept = 0
     jx, jy, jz = polygon[count - 1, 0], polygon[count - 1, 1], polygon[count - 1, 2]
     hj = nx * jx + ny * jy + nz * jz - limit
@@ -35,9 +35,10 @@ def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def remainder(corners, t, planes, less, rounding, mask, polygon, spare):  # type: ignore[no-untyped-def]
-    """Clip triangle t to what no plane of a mask covers.
+    """Clip from triangle t what is behind the planes of a mask.
 
-    Returns its corner count, and whether it is in `spare`.
+    Returns:
+        Corner count of the polygon that is left, and whether it is in `spare` (or in `polygon`).
     """
     for j in range(3):
         for k in range(3):

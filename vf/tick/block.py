@@ -1,4 +1,4 @@
-"""The memory that a tick works in, as `vf.layout` describes it."""
+"""The memory of a tick, laid out as `vf.layout` describes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vf.tick.chain import LINK
 
 
 class Block:
-    """Arrays of a tick, and the words that lead the kernels to them. Not thread-safe.
+    """The arrays of a tick, and the words with their addresses. Not thread-safe.
 
     Attributes:
         words: (WORDS,) see `vf.layout`, at `address`; the other arrays are parts by the names of
@@ -29,12 +29,12 @@ class Block:
         """For n joints.
 
         Args:
-            chain: of the arm, see `vf.tick.chain`; None: it answers itself.
-            searches: one for each fixture; None: it answers itself.
+            chain: of the arm, see `vf.tick.chain`; None: the arm computes its kinematics in Python.
+            searches: one for each fixture; None: the fixture computes its planes in Python.
         """
         self.words = np.zeros(at.WORDS, dtype=np.int64)
         self.address = self.words.ctypes.data
-        # What the addresses lead to must not go away.
+        # The kernels hold addresses only: these references keep the arrays alive.
         self._searched = tuple(searches)
         self._parts: dict[int, NDArray[np.generic]] = {}
         self.n = n
@@ -69,7 +69,7 @@ class Block:
         self.reserve(max(len(searches), 1) * BUDGET)
 
     def reserve(self, rows: int) -> None:
-        """Have room for that many planes, which lose what they say."""
+        """Make room for that many planes; their present content is lost."""
         n, head = self.n, self.head // 8
         self.room = self.words[at.ROOM] = rows
         whole = np.zeros(head + rows * at.PLANE)
@@ -87,12 +87,12 @@ class Block:
         self.words[at.SCRATCH_SIZE] = size
 
     def _part(self, word: int, *shape: int) -> FloatArray:
-        """A new part; what the word led to before is forgotten."""
+        """A new part; the array that the word pointed to before is released."""
         part = np.zeros(shape)
-        self._lead(word, part)
+        self._point(word, part)
         return part
 
-    def _lead(self, word: int, part: NDArray[np.generic]) -> None:
+    def _point(self, word: int, part: NDArray[np.generic]) -> None:
         self.words[word] = part.ctypes.data
         self._parts[word] = part
 
@@ -114,7 +114,7 @@ class Block:
                 (at.FRAME, search.frame),
             ):  # fmt: skip
                 if not array.flags.c_contiguous:
-                    raise ValueError("what a fixture lets a tick search must be contiguous")
+                    raise ValueError("the arrays of a fixture's search must be contiguous")
                 row[word] = array.ctypes.data
         self.searches = table
-        self._lead(at.SEARCHES, table)
+        self._point(at.SEARCHES, table)

@@ -1,4 +1,4 @@
-"""The planes of a tick, by one walk of the tree of every fixture."""
+"""The planes of a tick: one walk through the tree of every fixture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vf.rules.walls import WALL
 
 @njit(cache=True)
 def sides_known(words, x):  # type: ignore[no-untyped-def]
-    """Whether it is known of every fixture on which side of it x (3,) is, in its own frame."""
+    """Whether it is known for every fixture if x (3,) is inside: the last look-up was there."""
     sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
     for f in range(words[at.FIXTURES]):
         for k in range(3):
@@ -26,11 +26,11 @@ def sides_known(words, x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
-    """Whether the tip is inside of something, the motion sphere, and the ball to search.
+    """Set INSIDE, the radius of the motion sphere, and that of the ball to search.
 
-    That ball reaches a standoff beyond the motion sphere, or a step to its rim could end right at a
-    triangle outside, and as far as the path may leave the chord; more than a quarter of the radius
-    would cost more planes than a longer step is worth.
+    The ball is larger than the motion sphere by the standoff, since a step to the rim of the sphere
+    could end right at a triangle outside, and by the sagitta of the path, up to a quarter of the
+    radius: beyond that the additional planes cost more than a longer step gains.
     """
     sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
     words[at.INSIDE] = 0
@@ -46,7 +46,7 @@ def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
-    """The planes of all fixtures for a tip at x (3,); False: Python has to be asked for them."""
+    """Write the planes of all fixtures for a tip at x (3,); False: Python has to compute them."""
     fixtures = words[at.FIXTURES]
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
@@ -81,7 +81,7 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
                     slivers, edges, x, radius, standoff, tip_radius, planes, m, queue, polygons,
                 )  # fmt: skip
             if valid == 0.0:
-                # On a surface one walk of the tree does not answer.
+                # The tip is on the surface: `fixtures` decides that in Python.
                 return False
             space = np.inf
             for i in range(m, m + found):
@@ -94,8 +94,8 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
             reach = min(reach, valid)
         words[at.COUNT] = m
         numbers[at.REACH] = reach
-        # Between two fixtures, below the standoff of both: as near to the farther one as to the
-        # nearer one, like between two walls of one fixture.
+        # Closer than the standoff to two fixtures: the tool may come as close to the farther one as
+        # it is to the nearer one, as between two walls of one fixture (`certified.walk`).
         if standoff < numbers[at.STANDOFF] or close < 2:
             return True
         standoff = least

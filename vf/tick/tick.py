@@ -1,9 +1,9 @@
 """A tick in one compiled call: from measured joints and target to checked joints, planes and force.
 
-`tick` goes on until it is done or has a question that only Python can answer: an arm or a fixture
-of the user's own, the side of a tip that no step led to, a problem that is left to a solver. It
-then says which, and goes on from there when it is called again. All it works with is in a block
-(`vf.tick.block`), described in `vf.layout`.
+`tick` runs until it is done or needs an answer from Python: from an arm or a fixture that only has
+Python methods, whether a tip is inside (where no checked step led to it), or from a solver. It then
+returns which answer it needs, and continues from there when it is called again. Its memory is one
+block (`vf.tick.block`), described in `vf.layout`.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 
 @njit(cache=True)
 def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
-    """Begin a tick, or go on with it.
+    """Begin a tick, or continue it.
 
     Args:
         address: of the words (at.WORDS,) of the block.
         q: joint positions [rad or m], the same throughout a tick.
         goal: (4, 4) pose of the target, base frame, likewise.
-        phase: at.BEGIN, or what the last call asked for.
+        phase: BEGIN, or the phase that the last call returned.
 
     Returns:
-        How many planes the report has: the tick is done. Or less than zero: minus the phase to go
-        on with when its question is answered, or minus the reason why there is nothing to do.
+        The number of planes in the report: the tick is done. Or less than zero: minus the phase to
+        continue with when its question is answered, or minus the reason why there is no step.
     """
     words = numba.carray(integers_at(address), (at.WORDS,))
     n = words[at.JOINTS]
@@ -129,7 +129,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             if words[at.STAGE] <= at.RELAXED:
                 infeasible = words[at.SOLVER] == INFEASIBLE
                 if infeasible and numbers[at.DEFICIT] > 0.0 and words[at.STAGE] == at.WHOLE:
-                    # Recovery may be more than the joints can do; standing still never is.
+                    # The joints may not be able to recover that fast: zero motion obeys these rows.
                     for i in range(m):
                         bounds[i] = min(bounds[i], 0.0)
                     words[at.STAGE] = at.RELAXED
@@ -167,7 +167,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         else:
             allowed = words[at.ANSWER] > 0
         if allowed and words[at.STAGE] < at.PART:
-            # The optimum in the tick's bounds, whichever way it was had.
+            # The optimum within the tick's bounds, of the first or the corrected problem.
             numbers[at.SHARE] = 1.0
             return write_report(words, numbers, table, goal, tip, planes, trials[0])
         phase = next_attempt(
@@ -197,7 +197,7 @@ def _place(words, q, pose):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _placed(start, J):  # type: ignore[no-untyped-def]
-    """Whether an arm that answers itself said where its tip (3, 4) is and how it moves (6, n)."""
+    """Whether pose (3, 4) and Jacobian (6, n) that an arm computed in Python are usable numbers."""
     total = 0.0
     for k in range(3):
         if not abs(start[k, 3]) <= LARGEST:
