@@ -1,4 +1,4 @@
-"""`bench loop`: punctuality of the control thread with a browser connected and other load."""
+"""`bench loop`: punctuality of the control loop with a browser connected and other load."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from rich.console import Console
 
 import meshes
 from app.bench.tools import report
-from app.bench.tools.machine import machine, percentiles, resident
+from app.bench.tools.machine import machine, percentiles, proportional, scheduling
 from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
+from app.recording.playback import Player, build_scenes
+from app.recording.read import read
 from app.refused import Refused
 from app.session import Session
 from app.settings import Options
@@ -32,6 +34,7 @@ OTHER = "skull-fine"  # second mesh of the loading phase: 936,456 triangles
 JOINING = 5.0  # least interval between connects and disconnects of a second client [s]
 SETTLE = 2.0  # between phases [s]
 LATE = 1e-3  # a tick later than this is not on time [s]
+PROMPT = 1e-4  # a tick less late than this is on time to the point [s]
 FIRST_TICK = 60.0  # timeout [s]
 
 
@@ -95,6 +98,8 @@ def run(
                 seen = "a headless Chromium looks on (software rendering, on the same cores)"
             except NoBrowser as reason:
                 seen = f"no browser: {reason}"
+        place = session._loop.place
+        how = "unknown" if place is None else scheduling(place[1])
         rows: list[dict[str, Any]] = []
         with suppress(KeyboardInterrupt):
             for k, phase in enumerate(options.phases):
@@ -107,6 +112,7 @@ def run(
         "options": asdict(options),
         "mesh": name,
         "browser": seen,
+        "scheduling": how,
         "start": {"first tick [s]": first_tick, "page [s]": ready},
         "phases": rows,
         "interrupted": len(rows) < len(options.phases),
@@ -133,45 +139,66 @@ def _phase(
 ) -> dict[str, Any]:
     session.reset()
     session.set_autopilot(phase != "idle")
-    time.sleep(min(SETTLE, options.seconds))
-    stop = threading.Event()
-    done = {"loads": 0, "reports": 0, "joins": 0}
-    work: list[threading.Thread] = []
-    if phase == "loading":
-        work.append(threading.Thread(target=_load, args=(session, stop, done), name="loading"))
-    elif phase == "examining":
-        work.append(threading.Thread(target=_examine, args=(session, stop, done), name="examining"))
-    elif phase == "joining" and browser is not None:
-        work.append(threading.Thread(target=_join, args=(browser, stop, done), name="joining"))
-    frames = _frames(browser) if phase != "joining" else None
-    first, memory = tap.count, resident()
-    processor, began = time.process_time(), time.perf_counter()
-    overruns, waited = session.latest().stats.overruns, _waited(session)
-    for thread in work:
-        thread.start()
-    time.sleep(options.seconds)
-    elapsed = time.perf_counter() - began
-    busy = (time.process_time() - processor) / elapsed
-    ticks = tap.since(first)
-    row = summary(ticks, elapsed, options.rate)
-    waited_after = _waited(session)
-    stop.set()
-    for thread in work:
-        thread.join()
-    drawn = _frames(browser) if phase != "joining" else None
+    done = {"loads": 0, "reports": 0, "joins": 0, "recorded": 0, "replays": 0}
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        if phase == "replaying":
+            session.record(folder / "some.vfrec")
+        time.sleep(min(SETTLE, options.seconds))
+        if phase == "replaying":
+            session.stop_recording()
+        stop = threading.Event()
+        jobs: dict[str, tuple[Callable[..., None], Any]] = {
+            "loading": (_load, session),
+            "examining": (_examine, session),
+            "recording": (_record, (session, folder)),
+            "replaying": (_replay, folder),
+        }
+        if browser is not None:
+            jobs["joining"] = (_join, browser)
+        work: list[threading.Thread] = []
+        if phase in jobs:
+            job, on = jobs[phase]
+            work.append(threading.Thread(target=job, args=(on, stop, done), name=phase))
+        frames = _frames(browser) if phase != "joining" else None
+        first, memory = tap.count, _memory(session)
+        processor, began = time.process_time(), time.perf_counter()
+        overruns, waited = session.latest().stats.overruns, _waited(session)
+        for thread in work:
+            thread.start()
+        time.sleep(options.seconds)
+        elapsed = time.perf_counter() - began
+        busy = (time.process_time() - processor) / elapsed
+        ticks = tap.since(first)
+        row = summary(ticks, elapsed, options.rate)
+        waited_after = _waited(session)
+        after = _memory(session)
+        stop.set()
+        for thread in work:
+            thread.join()
+        drawn = _frames(browser) if phase != "joining" else None
+        return {
+            "phase": phase,
+            **row,
+            "overruns": session.latest().stats.overruns - overruns,
+            "cpu": busy,
+            # Share of the phase in which the control thread was runnable without a core: the load
+            # of other threads and processes, also the browser's.
+            "no core": None
+            if waited is None or waited_after is None
+            else (waited_after - waited) / elapsed,
+            "memory [MB]": {"start": memory, "end": after},
+            "frames/s": None if frames is None or drawn is None else (drawn - frames) / elapsed,
+            **done,
+        }
+
+
+def _memory(session: Session) -> dict[str, float | None]:
+    """Memory of the page's process and of the control process [MB]."""
+    place = session._loop.place
     return {
-        "phase": phase,
-        **row,
-        "overruns": session.latest().stats.overruns - overruns,
-        "cpu": busy,
-        # Share of the phase in which the control thread was runnable without a core: the load of
-        # other processes (also the browser's), not the interpreter lock.
-        "no core": None
-        if waited is None or waited_after is None
-        else (waited_after - waited) / elapsed,
-        "memory [MB]": {"start": memory, "end": resident()},
-        "frames/s": None if frames is None or drawn is None else (drawn - frames) / elapsed,
-        **done,
+        "page": proportional(),
+        "control": None if place is None else proportional(place[0]),
     }
 
 
@@ -191,6 +218,7 @@ def summary(ticks: NDArray[np.float64], elapsed: float, rate: float) -> dict[str
         "late [us]": dict(zip(names, percentiles(late * 1e6, of), strict=True)),
         "tick [us]": dict(zip(names, percentiles(spent * 1e6, of), strict=True)),
         "punctual": float((late < LATE).sum()) / due,
+        "prompt": float((late < PROMPT).sum()) / due,
         "longest stall [ms]": float(gaps.max()) * 1e3 if len(gaps) else float("nan"),
     }
 
@@ -198,7 +226,9 @@ def summary(ticks: NDArray[np.float64], elapsed: float, rate: float) -> dict[str
 def show(result: dict[str, Any], console: Console) -> None:
     """Print the result as a table."""
     report.header(result, console)
-    console.print(f"mesh: {result['mesh']}; {result['browser']}")
+    console.print(
+        f"mesh: {result['mesh']}; {result['browser']}; control thread: {result['scheduling']}"
+    )
     start = result["start"]
     console.print(
         f"from the start of the session to the first tick {start['first tick [s]']:.1f} s, "
@@ -206,8 +236,8 @@ def show(result: dict[str, Any], console: Console) -> None:
     )
     names = (
         "phase", "ticks", "rate [Hz]", "late p50 [µs]", "late p99", "late p99.9", "< 1 ms late",
-        "longest stall [ms]", "overruns", "tick p50 [µs]", "tick p99", "CPU", "no core",
-        "memory [MB]", "frames/s",
+        "< 0.1 ms", "longest stall [ms]", "overruns", "tick p50 [µs]", "tick p99", "page's CPU",
+        "no core", "memory, page + control [MB]", "frames/s",
     )  # fmt: skip
     rows = []
     for row in result["phases"]:
@@ -218,13 +248,14 @@ def show(result: dict[str, Any], console: Console) -> None:
             f"{row['rate [Hz]']:.1f}",
             *(f"{late[k]:.0f}" for k in ("p50", "p99", "p99.9")),
             f"{100 * row['punctual']:.3f} %",
+            f"{100 * row['prompt']:.3f} %",
             f"{row['longest stall [ms]']:.2f}",
             str(row["overruns"]),
             f"{tick['p50']:.0f}",
             f"{tick['p99']:.0f}",
             f"{100 * row['cpu']:.0f} %",
             f"{100 * row['no core']:.1f} %" if row["no core"] is not None else "–",
-            f"{memory['start']:.0f} → {memory['end']:.0f}" if memory["start"] else "–",
+            " → ".join(_both(memory[k]) for k in ("start", "end")),
             f"{row['frames/s']:.1f}" if row["frames/s"] is not None else "–",
         )
         rows.append(cells)
@@ -232,8 +263,13 @@ def show(result: dict[str, Any], console: Console) -> None:
         console,
         [Column(name, left=name == "phase") for name in names],
         rows,
-        title="Control thread, by phase",
+        title="Control loop, by phase",
     )
+
+
+def _both(memory: dict[str, float | None]) -> str:
+    page, control = memory["page"], memory["control"]
+    return "–" if page is None or control is None else f"{page:.0f} + {control:.0f}"
 
 
 def _load(session: Session, stop: threading.Event, done: dict[str, int]) -> None:
@@ -254,6 +290,24 @@ def _examine(session: Session, stop: threading.Event, done: dict[str, int]) -> N
     while not stop.is_set():
         meshes.health(session.scene.surface)
         done["reports"] += 1
+
+
+def _record(on: tuple[Session, Path], stop: threading.Event, done: dict[str, int]) -> None:
+    """Record until `stop`."""
+    session, folder = on
+    session.record(folder / "run.vfrec")
+    stop.wait()
+    done["recorded"] += session.stop_recording().rows
+
+
+def _replay(folder: Path, stop: threading.Event, done: dict[str, int]) -> None:
+    """Load a recording with its scene repeatedly, as the page does before it shows it."""
+    while not stop.is_set():
+        recording = read(folder / "some.vfrec")
+        player = Player(recording, build_scenes(recording, 1000))
+        for row in range(0, len(player), 100):
+            player.moment(row)
+        done["replays"] += 1
 
 
 def _join(browser: Watcher, stop: threading.Event, done: dict[str, int]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from app.bench.loop import Tap, summary
-from app.bench.tools.machine import machine, resident
+from app.bench.tools.machine import machine, proportional
 from app.bench.tools.settings import Soak
 from app.bench.tools.watcher import Watcher
 from app.session import Session
@@ -60,7 +60,7 @@ def run(
                     browser.request("again")
                     visits += 1
                 time.sleep(sample)
-                samples.append(_sample(time.perf_counter() - began, page))
+                samples.append(_sample(time.perf_counter() - began, page, session))
                 advance(gone / seconds)
             whole = True
         except KeyboardInterrupt:
@@ -80,10 +80,12 @@ def run(
     }
 
 
-def _sample(at: float, page: Page) -> dict[str, Any]:
+def _sample(at: float, page: Page, session: Session) -> dict[str, Any]:
+    place = session._loop.place
+    control = None if place is None else proportional(place[0])
     return {
         "at [s]": at,
-        "memory [MB]": resident() or float("nan"),
+        "memory [MB]": (proportional() or float("nan")) + (control or 0.0),
         "threads": threading.active_count(),
         **guard.resource_counts(page.server),
     }

@@ -27,6 +27,7 @@ import vf
 from app.control import surfaces, wire
 from app.control.channel import Channel
 from app.control.engine import Orders, Plant, State
+from app.control.gaps import Gaps
 from app.control.loop import BUILD_PRIORITY, ControlLoop, raise_process_priority
 from app.control.loop import raise_thread_priority as raise_priority
 from app.control.mailbox import Mailbox
@@ -137,8 +138,9 @@ class Child:
     def _build(self, number: int, data: bytes) -> None:
         assert self._surface is not None
         try:
-            description = surfaces.unpack(data, self._surface)
-            plant = assemble(description, robots.load(description.robot))
+            with Gaps(self._loop):
+                description = surfaces.unpack(data, self._surface)
+                plant = assemble(description, robots.load(description.robot))
         except Exception as error:
             log.exception("a plant could not be built")
             self.tell("failed", number, f"{type(error).__name__}: {error}")

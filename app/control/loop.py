@@ -51,6 +51,8 @@ class ControlLoop(Host):
 
     Attributes:
         engine: the engine; only for the thread, and before it is started.
+        dt: length of a tick [s].
+        deadline: when the next tick is due, of `time.perf_counter` [s].
     """
 
     def __init__(
@@ -76,7 +78,8 @@ class ControlLoop(Host):
         first = orders.get()
         if first is None:
             raise ValueError("the loop needs orders to start from")
-        self._dt = dt
+        self.dt = dt
+        self.deadline = 0.0
         self._watch = watch
         self._arm = arm
         self.engine = Engine(first, state, arm)
@@ -130,11 +133,12 @@ class ControlLoop(Host):
                 self._fail("an error of the control loop")
 
     def _loop(self) -> None:
-        engine, clock, dt = self.engine, self.clock, self._dt
+        engine, clock, dt = self.engine, self.clock, self.dt
         now = time.perf_counter
         spin = min(SPIN, 0.1 * dt)
         deadline = now() + dt
         while not self._stop.is_set():
+            self.deadline = deadline
             pause = deadline - spin - now()
             if pause > 0.0:
                 time.sleep(pause)

@@ -100,12 +100,15 @@ class Child:
     def leave(self) -> None:
         """End it for good, and close what there is of shared memory."""
         self.end()
+        self.channel.close()
         self.memory.forget()
         if self.shared is not None:
             self.shared[1].memory.forget()
 
     def end(self) -> str:
         """Have it end, by force if it does not; returns why it ended if nobody told it to."""
+        if self.thread is None:
+            self.process.kill()  # it holds nothing yet
         with contextlib.suppress(OSError):
             self.channel.send("close")
         try:
@@ -113,7 +116,6 @@ class Child:
         except subprocess.TimeoutExpired:
             self.process.kill()
             code = self.process.wait()
-        self.channel.close()
         if self.ending:
             return self.ending
         return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
@@ -241,9 +243,10 @@ class ControlProcess(Host):
 
     def close(self) -> None:
         self._stop.set()
-        self._child.leave()
+        self._child.end()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join()  # it sees that the other end is closed
+        self._child.leave()
         self._running = False
         self._drain()
         self._tape = None
@@ -370,6 +373,7 @@ class ControlProcess(Host):
     def _end(self) -> None:
         """The process ended, and nobody told it to."""
         why = self._child.end()
+        self._child.channel.close()
         log.error("the control process ended: %s", why)
         with self._changed:
             self._running = False

@@ -91,6 +91,8 @@ class Slot:
     def read(self) -> bytes | None:
         """The newest message; None: there is none, or it is being replaced."""
         number = self._count[0]
+        if number == 0:
+            return None
         place = self._places[number & 1]
         length, checksum, written = _MESSAGE.unpack_from(place)
         message = bytes(place[_MESSAGE.size : _MESSAGE.size + length])

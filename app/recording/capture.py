@@ -42,8 +42,8 @@ class Tape:
         Raises:
             OSError: it cannot be made.
         """
-        self._recorder = Recorder(path)
-        self.path, self.asked = self._recorder.path, Path(path)
+        recorder = Recorder(path)
+        self.path, self.asked = recorder.path, Path(path)
         self.begun = False
         self.note = ""
         self.rows = 0
@@ -51,7 +51,9 @@ class Tape:
         self._newest: Orders | None = None
         self._ended = False
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="tape", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, args=(recorder,), name="tape", daemon=True
+        )
         self._thread.start()
 
     @property
@@ -101,12 +103,11 @@ class Tape:
         self._stop.set()
         self._thread.join()
 
-    def _run(self) -> None:
-        recorder = self._recorder
+    def _run(self, recorder: Recorder) -> None:
         try:
             while not self._stop.wait(PERIOD) and not self._ended:
-                self._drain()
-            self._drain()
+                self._drain(recorder)
+            self._drain(recorder)
             if self._ended:
                 self.note = self.note or f"the writing fell {BEHIND:,} ticks behind"
         except (RecordingError, OSError) as error:
@@ -115,7 +116,9 @@ class Tape:
             log.exception("the recording failed")
             self.note = f"of an error of this program ({error!r})"
         self._ended = True
+        # Whoever keeps the tape does not keep the scene.
         self._queue.clear()
+        self._newest = None
         try:
             if recorder.rows:
                 recorder.close(self.note)
@@ -127,8 +130,8 @@ class Tape:
         if self.note:
             log.warning("%s", self.outcome)
 
-    def _drain(self) -> None:
-        queue, recorder = self._queue, self._recorder
+    def _drain(self, recorder: Recorder) -> None:
+        queue = self._queue
         for _ in range(len(queue)):
             item = queue.popleft()
             if len(item) == 2:

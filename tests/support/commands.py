@@ -10,6 +10,8 @@ import sys
 import urllib.request
 from pathlib import Path
 
+from tests.support.controls import controls_of, gone
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -36,6 +38,8 @@ def page_of_command(*words: str, end: signal.Signals = signal.SIGINT) -> str:
             assert address is not None, (before, process.stderr and process.stderr.read())
             with urllib.request.urlopen(address[1], timeout=30) as page:
                 assert page.status == 200
+            controls = controls_of(process.pid)
+            assert len(controls) == 1
             process.send_signal(end)
             out, err = process.communicate(timeout=30)
         finally:
@@ -43,4 +47,5 @@ def page_of_command(*words: str, end: signal.Signals = signal.SIGINT) -> str:
     assert process.returncode == 0, err
     assert "Closing." in out
     assert "Traceback" not in err
+    assert gone(controls[0])
     return "".join(before)

@@ -59,6 +59,26 @@ def resident() -> float | None:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def proportional(process: int | str = "self") -> float | None:
+    """Memory of a process [MB], what it shares with others by its share; None if not known."""
+    try:
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+        return int(next(line for line in lines if line.startswith("Pss:")).split()[1]) * 1.024e-3
+    except (OSError, ValueError, StopIteration):
+        return None
+
+
+def scheduling(thread: int) -> str:
+    """How a thread is scheduled: in real time, with a raised priority, or as any other."""
+    try:
+        if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
+            return f"real time, priority {os.sched_getparam(thread).sched_priority}"
+        nice = os.getpriority(os.PRIO_PROCESS, thread)
+    except (OSError, AttributeError):
+        return "unknown"
+    return f"nice {nice}" if nice else "as any other"
+
+
 def percentiles(samples: ArrayLike, of: Sequence[float] = (1, 50, 99)) -> tuple[float, ...]:
     """Percentiles of a sample; NaN for an empty one."""
     values = np.asarray(samples, dtype=np.float64)

@@ -13,7 +13,9 @@ from app.settings import Options, number
 # Duplicated in `meshes.builtin.ladder`, whose import is slow.
 SIZES = (51_978, 103_956, 207_912, 415_824, 989_376)
 RADII: tuple[float | None, ...] = (5e-3, 2e-3, 1e-3, 5e-4, None)
-PHASES = ("idle", "dragging", "loading", "examining", "joining")
+PHASES = (
+    "idle", "dragging", "loading", "joining", "examining", "recording", "replaying",
+)  # fmt: skip
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 _SIZE = Whole(128, 10**9)
 _RADIUS = number("radius")
@@ -80,10 +82,11 @@ class Peers(Checked):
 
 @dataclass(frozen=True)
 class Loop(Checked):
-    """The control thread's punctuality with the page open in a browser and other load.
+    """The control loop's punctuality with the page open in a browser and other load.
 
     Phases of equal length: idle; dragging (the autopilot); loading another mesh repeatedly;
-    examining the mesh repeatedly; a second client that connects and disconnects.
+    joining: a second client that connects and disconnects; examining the mesh repeatedly;
+    recording; replaying: loading a recording repeatedly.
     """
 
     mesh: str | None = option(
