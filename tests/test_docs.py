@@ -64,6 +64,23 @@ def test_files_and_names_in_the_text_exist(document: Path) -> None:
         assert resolves(name), name
 
 
+def test_where_things_are_is_where_contributing_says() -> None:
+    """Each name in a row of the table is defined in the file or folder that is named before it."""
+    rows = re.findall(
+        r"^\| (?!to add|-).*\|$", (ROOT / "CONTRIBUTING.md").read_text(), re.MULTILINE
+    )
+    assert len(rows) > 10
+    for row in rows:
+        text = ""
+        for word in re.findall(r"`([^` ]+)`", row):
+            place = ROOT / word
+            if "/" in word:
+                files = place.rglob("*.py") if place.is_dir() else [place]
+                text = "".join(file.read_text("utf-8") for file in files)
+            else:
+                assert re.search(rf"^ *(def |class )?{word}\b *[(:=]", text, re.MULTILINE), row
+
+
 def resolves(name: str) -> bool:
     """Whether a dotted name is a module, or something in one, down to a dataclass's field."""
     words = name.split(".")
