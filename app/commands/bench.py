@@ -1,4 +1,4 @@
-"""Measure: run time, other libraries, the control thread, the page, files, an hour of it all."""
+"""Measure: run time, other libraries, the control thread, the page, files, an hour of operation."""
 
 from __future__ import annotations
 

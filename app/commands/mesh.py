@@ -1,4 +1,4 @@
-"""Look after meshes: list the catalogue, check a file, repair it, make one from a volume."""
+"""Meshes: list the catalogue, check a file, repair it, make one from a volume."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class List(Checked):
 
 @dataclass(frozen=True)
 class Check(Checked):
-    """Say what is wrong with a mesh, and what it means for the fixtures.
+    """Report the defects of a mesh, and what they mean for the fixtures.
 
     Exit code 0: sound; 1: it has defects; 2: it could not be read."""
 
@@ -65,7 +65,7 @@ class Check(Checked):
 
 @dataclass(frozen=True)
 class Repair(Checked):
-    """Weld, drop what is no face, turn what is wound wrongly; nothing is moved, no hole filled.
+    """Weld, drop degenerate and duplicate faces, correct the winding; no vertex is moved.
 
     Exit code 0: written; 1: written, but something could not be repaired; 2: nothing written."""
 
@@ -283,7 +283,7 @@ def _repair(options: Repair) -> int:
     frames.chosen(options.write_frame)
     changes, triangles, unit, frame, _ = _run(options.mesh, partial(repaired, options))
     console = new_console()
-    for line in changes.lines() or ("nothing to mend",):
+    for line in changes.lines() or ("nothing to repair",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
     for line in changes.left:
         console.print(f"[yellow]![/] left: {escape(line)}", soft_wrap=True)
