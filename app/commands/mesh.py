@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from app.commands import interrupted
 from app.console import console as new_console
@@ -361,8 +360,7 @@ def _notes() -> Iterator[None]:
 @contextmanager
 def _stages() -> Iterator[Callable[[str], None]]:
     """Shows the current stage on stderr, if that is a terminal."""
-    bar = progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with bar:
+    with progress(bar=False) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda stage: bar.update(task, description=escape(stage))
 
