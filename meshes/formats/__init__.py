@@ -37,13 +37,14 @@ class Format:
 
 
 FREESURFER = ("pial", "white", "orig", "smoothwm", "inflated")
+_SCENE: Any = {"opens_others": True, "shares_vertices": False, "in_metres": True}
 TABLE = (
     Format("STL", ("stl",), stl.read, stl.write, shares_vertices=False),
     Format("OBJ", ("obj",), obj.read, obj.write),
     Format("PLY", ("ply",), ply.read, ply.write),
     Format("OFF", ("off",), off.read, off.write),
-    Format("GLB", ("glb",), gltf.read_glb, gltf.write_glb, True, False, True),
-    Format("glTF", ("gltf",), gltf.read, None, True, False, True),
+    Format("GLB", ("glb",), gltf.read_glb, gltf.write_glb, **_SCENE),
+    Format("glTF", ("gltf",), gltf.read, **_SCENE),
     Format("3MF", ("3mf",), threemf.read),
     Format("VTP", ("vtp",), vtp.read),
     Format("legacy VTK", ("vtk",), vtk.read),
