@@ -8,6 +8,7 @@ from typing import Any
 
 from meshes.content import Content
 from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
+from meshes.packed import MAGIC
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ WRITABLE = tuple(end for end, entry in BY_END.items() if entry.write)
 """Ends of the names of the files that `meshes.save` writes."""
 
 _SIGNATURES = (  # first bytes in lower case, description, ends of the formats that may begin so
-    (b"\x1f\x8b", "packed with gzip: its name should end in .gz", ()),
+    (MAGIC, "packed with gzip: its name should end in .gz", ()),
     (b"\xff\xff\xfe", "a FreeSurfer surface", FREESURFER),
     (b"pk\x03\x04", "a zip archive (as 3MF is)", ("3mf",)),
     (b"gltf", "binary glTF", ("glb",)),
