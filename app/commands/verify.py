@@ -10,13 +10,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from app import choices
 from app.commands import interrupted
@@ -154,10 +147,7 @@ def run(options: Verify) -> int:
     query_share = -(-options.queries // (len(cases) * len(LEAK_EDGES)))
     found: dict[tuple[str, str], Found] = {}
     began = perf_counter()
-    bar = progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeElapsedColumn(), TimeRemainingColumn(),
-    )  # fmt: skip
+    bar = progress(counted=True)
     stopped = False
     try:
         with bar:

@@ -41,7 +41,8 @@ from app.control.engine import State
 from app.options import declared
 from app.settings import Options
 
-FORMAT, VERSION = "vf-sandbox recording", 2
+FORMAT = "vf-sandbox recording"
+VERSION = 2
 MAGIC = b"vf-sandbox recording 2\n"
 BLOCK = struct.Struct("<4sIII")
 LENGTH = struct.Struct("<I")

@@ -53,7 +53,7 @@ class FixtureDrawing(Part):
         )
         disc, rim = _disc(), _rim()
         self._idle_discs = _batch(api, f"{root}/discs", disc, opacity=IDLE_OPACITY[0])
-        self._active_discs = _batch(api, f"{root}/discs_leaning", disc, opacity=ACTIVE_OPACITY[0])
+        self._active_discs = _batch(api, f"{root}/discs_active", disc, opacity=ACTIVE_OPACITY[0])
         self._rims = _batch(api, f"{root}/rims", rim)
         self._normals = _batch(api, f"{root}/normals", _arrow())
         # Of the plane that pushes most: a thick ring, a large arrow, a label.

@@ -31,7 +31,7 @@ _WATCHDOG = (
     ".vf-old{animation:vf-note .3s 3s forwards;opacity:0;pointer-events:none;position:absolute;"
     "z-index:1;left:.75em;right:.75em;top:38%;padding:6px 9px;border-left:5px solid "
     f"{palette.css(palette.VERMILION)};background:var(--vf-plate);color:var(--vf-ink);font-size:12.5px}}</style>"
-    "<div class='vf-old'>Old numbers: nothing came from the sandbox for three seconds.</div>"
+    "<div class='vf-old'>Old numbers: no data from the sandbox for three seconds.</div>"
 )
 
 
@@ -222,8 +222,8 @@ def legend() -> str:
     return (
         f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
         "<div style='color:var(--vf-faint);margin-top:4px'>Filled triangles gave the discs of the "
-        "same colour; the fuller a disc’s colour, the more the tool leans on it. A mere ring is a "
-        "plane farther off, when there are many.</div></div>"
+        "same colour; the stronger a disc’s colour, the larger its share of the push. Of planes "
+        "farther off, when there are many, only the rim is drawn.</div></div>"
     )
 
 
