@@ -37,9 +37,9 @@ class Arm:
         velocity: speed limits [rad/s or m/s].
         revolute: 1 for a revolute joint, 0 for a prismatic one.
         neutral:  the rest pose, within the limits.
-        chain:    `(k + 1, 14)`, the joints between base and tip as `vf.chain` reads them.
+        chain:    `(k + 1, 14)`, the joints between base and tip as `vf.tick.chain` reads them.
         capsules: the bodies of the instrument, the one at the tip first.
-        anchors:  `(c, 2, 4)` where the ends of the capsules' axes are fixed, as `vf.chain` reads
+        anchors:  `(c, 2, 4)` where the ends of the capsules' axes are fixed, as `vf.tick.chain` reads
                   them.
     """
 

@@ -9,13 +9,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from robots.instrument import BASE, Capsule
-from vf.chain import JOINT, LINK, REVOLUTE, ROTATION, TRANSLATION
+from vf.tick.chain import JOINT, LINK, REVOLUTE, ROTATION, TRANSLATION
 
 FloatArray = NDArray[np.float64]
 
 
 def flat(model: pin.Model, frame: int) -> FloatArray:
-    """The chain (k + 1, 14) from the base to a frame, see `vf.chain`; read-only.
+    """The chain (k + 1, 14) from the base to a frame, see `vf.tick.chain`; read-only.
 
     Raises:
         ValueError: a joint is neither prismatic nor bounded revolute.
@@ -39,7 +39,7 @@ def anchors(model: pin.Model, frame: int, capsules: Sequence[Capsule]) -> FloatA
     """Where the axes of capsules are fixed to the chain of a frame: (c, 2, 4), read-only.
 
     For each end the number of joints of the chain that move it, and where it is [m] in the frame
-    of the last of them, whose z axis is the joint's (see `vf.chain`).
+    of the last of them, whose z axis is the joint's (see `vf.tick.chain`).
 
     Raises:
         ValueError: a capsule is fixed to a joint that does not move the frame.

@@ -151,9 +151,9 @@ ARITHMETIC = {
 MORE = {
     "controller": {"time"},  # the stopwatch of `Step.timings`
     # SIGINT while OSQP solves; DAQP; solvers that are imported when they are asked for.
-    "solver_osqp": {"ctypes", "signal"},
-    "solver_daqp": {"daqp"},
-    "solver": {"importlib"},
+    "qp/solver_osqp": {"ctypes", "signal"},
+    "qp/solver_daqp": {"daqp"},
+    "qp/solver": {"importlib"},
     "kernels": {
         "llvmlite",
         "numba",
@@ -165,14 +165,15 @@ MORE = {
         "types",
         "warnings",
     },
-    "tick": {"numba"},  # arrays in one block of memory
-    "qp_kernels": {"numba"},
+    "tick/tick": {"numba"},  # arrays in one block of memory
+    "qp/active_set": {"numba"},
 }
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "vf").glob("*.py")), ids=named)
+@pytest.mark.parametrize("path", sorted((ROOT / "vf").rglob("*.py")), ids=named)
 def test_the_library_has_no_threads_no_files_and_no_app(path: Path) -> None:
     tree = ast.parse(path.read_text("utf-8"))
+    more = MORE.get(path.relative_to(ROOT / "vf").with_suffix("").as_posix(), set())
     for node in ast.walk(tree):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):
@@ -180,6 +181,6 @@ def test_the_library_has_no_threads_no_files_and_no_app(path: Path) -> None:
             if node.module == "time":
                 assert [alias.name for alias in node.names] == ["monotonic"]
         for name in names:
-            assert name.partition(".")[0] in ARITHMETIC | MORE.get(path.stem, set()), name
+            assert name.partition(".")[0] in ARITHMETIC | more, name
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             assert node.func.id not in {"open", "print", "input"}

@@ -13,18 +13,19 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from vf import layout, problem
-from vf.block import Block
-from vf.corridor import CorridorFixture
+from vf import layout
 from vf.fixtures import RULES, Fixture, MeshFixture
-from vf.pdtree import nearest_face_freely
 from vf.planes import FloatArray, Planes, planes_of, write_records
-from vf.qp_kernels import left_over
+from vf.qp import problem
+from vf.qp.active_set import left_over
+from vf.qp.solver import Solver, backend, check_solver
+from vf.rules.corridor import CorridorFixture
 from vf.selftest import check_kernels
-from vf.solver import Solver, backend, check_solver
 from vf.status import Status
 from vf.surface import Surface
-from vf.tick import tick
+from vf.tick.block import Block
+from vf.tick.tick import tick
+from vf.tree.pdtree import nearest_face_freely
 
 # The optimum is sought this many ticks ahead and then shortened to one. A tool pressed on a wall by
 # a proxy deep behind it spends its speed on the wall and crawls along it; looking farther makes it
@@ -220,7 +221,7 @@ _CUT: dict[str, Callable[[bytes, int, float], Any]] = {
 class Kinematics(Protocol):
     """What the controller needs of an arm; `robots.Arm` has it.
 
-    An arm with an attribute `chain` (see `vf.chain`) is not asked for its kinematics: the tick
+    An arm with an attribute `chain` (see `vf.tick.chain`) is not asked for its kinematics: the tick
     computes them itself.
     """
 

@@ -1,9 +1,8 @@
 """Names of what stands where in the arrays that kernels share.
 
-A plane is a row of `PLANE` numbers, whoever made it and whoever reads it. All that a tick works
-with is one block (`vf.block`): `words` (integers: counts, codes, and the addresses of the parts),
-and the parts, arrays of numbers. What a tick has to say is the part `REPORT`, and the planes
-directly behind it.
+A plane is a row of `PLANE` numbers in every array of planes. All memory of a tick is one block
+(`vf.tick.block`): `words` (integers: counts, codes, and the addresses of the parts), and the parts,
+arrays of numbers. A tick's results are the part `REPORT` and the planes directly behind it.
 """
 
 from __future__ import annotations
@@ -58,12 +57,12 @@ ROWS = 31  # (ROOM, n) the planes' rows G
 BOUNDS = 32  # (ROOM,) b of G Δq ≥ b [m]
 OTHER_BOUNDS = 33  # (ROOM,) of another attempt [m]
 MULTIPLIERS = 34  # (ROOM,) of the last problem [m]
-SCRATCH = 35  # of the solver, see `qp_kernels.carve`
+SCRATCH = 35  # of the solver, see `vf.qp.active_set.carve`
 SCRATCH_SIZE = 36  # not an address
 SOLUTION = 37  # (n,) of the solver asked: u
 DUALS = 38  # one for each row left for it
-QUEUE = 39  # (cover.HEAP, 3) of the walk
-POLYGONS = 40  # (2, cover.CORNERS, 3) of the walk
+QUEUE = 39  # (certified.HEAP, 3) of the walk
+POLYGONS = 40  # (2, certified.CORNERS, 3) of the walk
 SEARCHES = 41  # (FIXTURES, SEARCH) integers: what each fixture is and where
 SIDES = 42  # (FIXTURES, SIDE) numbers of each fixture
 REPORT = 43  # (HEAD + 2 n,) see below

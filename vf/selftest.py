@@ -8,13 +8,13 @@ from math import sqrt
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vf.conditions import paper_planes
-from vf.corridor import CorridorFixture
-from vf.cover import certified_planes
-from vf.haptics import force
 from vf.planes import Planes
-from vf.qp import ConstrainedLeastSquares
+from vf.qp.least_squares import ConstrainedLeastSquares
+from vf.rules.certified import certified_planes
+from vf.rules.corridor import CorridorFixture
+from vf.rules.paper import paper_planes
 from vf.surface import Surface
+from vf.tick.haptics import force
 
 CLOSE = 1e-9  # [m]
 STANDOFF = 20e-6

@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf import pdtree
 from vf.kernels import njit
-from vf.pdtree import (
+from vf.planes import LARGEST, FloatArray, IntArray, checked_length, checked_point
+from vf.tree import pdtree
+from vf.tree.pdtree import (
     PATIENCE,
     UNFINISHED,
     closest_points,
@@ -20,8 +21,7 @@ from vf.pdtree import (
     nearest_face_freely,
     within_ball,
 )
-from vf.planes import LARGEST, FloatArray, IntArray, checked_length, checked_point
-from vf.winding import Moments, moments, winding_number
+from vf.tree.winding import Moments, moments, winding_number
 
 
 class Edge(IntEnum):

@@ -14,8 +14,8 @@ import robots
 import vf
 from app.bench.queries import Peer
 from app.bench.tools.reference import least_squares
-from vf.problem import rotation_log
-from vf.solver_osqp import osqp_was_interrupted
+from vf.qp.problem import rotation_log
+from vf.qp.solver_osqp import osqp_was_interrupted
 
 FloatArray = NDArray[np.float64]
 

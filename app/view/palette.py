@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from vf.qp import Solver
+from vf.qp.least_squares import Solver
 
 Rgb = tuple[int, int, int]
 

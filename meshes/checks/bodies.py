@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from meshes.checks import probe
 from meshes.checks.topology import Topology
-from vf import pdtree
 from vf.kernels import njit
+from vf.tree import pdtree
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

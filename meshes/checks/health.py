@@ -17,9 +17,10 @@ from meshes.content import checked
 from meshes.errors import MeshError
 from meshes.formats.text import pluralized
 from meshes.meaning import MEANING
-from vf import Surface, pdtree
-from vf.closest import SLIVER
+from vf import Surface
 from vf.kernels import njit
+from vf.tree import pdtree
+from vf.tree.closest import SLIVER
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

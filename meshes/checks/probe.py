@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vf.kernels import njit
-from vf.pdtree import STACK, Tree, box_distances2, children_of, triangles_of
+from vf.tree.pdtree import STACK, Tree, box_distances2, children_of, triangles_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

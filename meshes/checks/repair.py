@@ -16,8 +16,8 @@ from meshes.checks.weld import first_of_kind, repeats_a_corner, weld
 from meshes.content import compact
 from meshes.formats.text import pluralized
 from vf import Surface
-from vf.closest import SLIVER
 from vf.kernels import njit
+from vf.tree.closest import SLIVER
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

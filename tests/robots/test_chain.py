@@ -8,7 +8,7 @@ import pytest
 
 import robots
 from robots.chain import flat
-from vf.chain import jacobian, tip_pose
+from vf.tick.chain import jacobian, tip_pose
 
 
 def largest_error(model: pin.Model, frame: int, draws: int, rng: np.random.Generator) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import robots
-from vf.problem import sagitta
+from vf.qp.problem import sagitta
 
 PERIOD = 1e-3
 

@@ -10,8 +10,9 @@ SMOKE = {
     ROOT / "tests" / name
     for name in (
         "test_examples.py", "test_layers.py", "test_project.py",
-        "vf/test_closest.py", "vf/test_conditions.py", "vf/test_haptics.py", "vf/test_planes.py",
-        "vf/test_qp.py", "vf/test_selftest.py", "vf/test_types.py",
+        "vf/test_planes.py", "vf/test_selftest.py", "vf/test_types.py",
+        "vf/tree/test_closest.py", "vf/rules/test_paper.py", "vf/qp/test_least_squares.py",
+        "vf/tick/test_haptics.py",
         "robots/test_psm.py", "meshes/test_formats.py", "meshes/test_units.py",
         "app/control/test_engine.py", "app/control/test_mailbox.py", "app/test_settings.py",
         "app/control/test_teleoperation.py",

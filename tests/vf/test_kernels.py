@@ -231,10 +231,11 @@ def test_the_library_starts_where_nothing_can_be_written(tmp_path):
     """As root writes everywhere, files stand where the folders would be."""
     source = Path(kernels.__file__).parent
     target = tmp_path / "vf"
-    target.mkdir()
-    for path in source.glob("*.py"):
-        (target / path.name).write_text(path.read_text())
-    (target / "__pycache__").write_text("in the way")
+    for path in source.rglob("*.py"):
+        copy = target / path.relative_to(source)
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_text(path.read_text())
+        (copy.parent / "__pycache__").write_text("in the way")
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     environment = {

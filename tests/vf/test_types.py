@@ -9,23 +9,14 @@ from numba.core.dispatcher import Dispatcher
 
 import robots
 import vf
-from vf import (
-    chain,
-    closest,
-    conditions,
-    corridor,
-    cover,
-    haptics,
-    inside,
-    pdtree,
-    problem,
-    surface,
-    tick,
-    winding,
-)
+from vf import surface
+from vf.qp import problem
+from vf.rules import certified, corridor, inside, paper
+from vf.tick import chain, haptics, tick
+from vf.tree import closest, pdtree, winding
 
 MODULES = (
-    chain, closest, conditions, corridor, cover, haptics, inside, pdtree, problem, surface, tick,
+    certified, chain, closest, corridor, haptics, inside, paper, pdtree, problem, surface, tick,
     winding,
 )  # fmt: skip
 BLOCK = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)])  # integers

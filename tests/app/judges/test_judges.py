@@ -23,7 +23,7 @@ from app.settings import Options
 from app.studies.experiments import judge
 from app.studies.verification import campaign
 from app.view.inspector.compare import Comparison, Pose
-from vf import pdtree
+from vf.tree import pdtree
 
 LINK = 15  # column of a node's record that says where its children or triangles are
 

@@ -3,10 +3,10 @@
 The recordings in `kept` were made by version 0.1.0 on x86-64 from an engine driven by the
 autopilot, every rule in turn: psm on "stairs" and point on "cube", panda on "l-block", ur5 on
 "thin-plate", unwelded. Since then the tick computes the arm's pose and Jacobian by itself, in
-another order than Pinocchio does (`vf/chain.py`): they differ by a few units in the last place, and
-so does what follows from them. A corridor's planes, of which there are none here, are moved by
-`cover.BUMPY` of the standoff too. Everything else of a tick does the same operations in the same
-order.
+another order than Pinocchio does (`vf/tick/chain.py`): they differ by a few units in the last
+place, and so does what follows from them. A corridor's planes, of which there are none here, are
+moved by `certified.BUMPY` of the standoff too. Everything else of a tick does the same operations
+in the same order.
 
 So each tick is repeated from the joints that were recorded before it: in a closed loop the paper's
 conditions, which drop a plane when rounding puts the tip a hair beside an edge of an unwelded mesh,

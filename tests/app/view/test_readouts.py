@@ -20,7 +20,7 @@ from app.view import palette, readouts
 from app.view.depth import whereabouts
 from app.view.measuring import Measuring
 from tests.support.headless import wait_until
-from vf.qp import Solver
+from vf.qp.least_squares import Solver
 
 
 @pytest.fixture(scope="module")

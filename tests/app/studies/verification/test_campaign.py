@@ -20,7 +20,8 @@ from app.judges import oracles
 from app.studies.verification import campaign, scenes
 from meshes.builtin.damage import damage, kinds
 from tests.support.everyday import everyday
-from vf import cover, fixtures
+from vf import fixtures
+from vf.rules.certified import cover
 
 ROOT = Path(__file__).parents[4]
 SMALL = ("cube", "gear", "thin-plate", "skull-coarse")
@@ -204,7 +205,7 @@ def test_the_papers_conditions_leak_on_damaged_meshes(kind):
 
 def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
-    honest = cover.cover
+    honest = cover
 
     def weakened(surface, x, radius, standoff, tip_radius):
         planes = honest(surface, x, radius, standoff, tip_radius)
@@ -216,7 +217,7 @@ def test_a_weakened_cover_is_caught(monkeypatch):
             points=planes.points - back * planes.normals,
         )
 
-    monkeypatch.setattr(cover, "cover", weakened)
+    monkeypatch.setattr("vf.rules.certified.cover", weakened)
     monkeypatch.setattr(fixtures, "cover", weakened)
     monkeypatch.setattr(fixtures, "Search", lambda *_: None)  # ticks ask the fixture
     mesh = meshes.arrays("cube")

@@ -1,4 +1,4 @@
-"""The kernels of `vf.qp`: reducing a problem to the rows that matter, and settling its active set.
+"""The kernels of `vf.qp.least_squares`: which rows can matter, and the active set of the optimum.
 
 They work in one scratch array, cut up by `carve`: a call from Python pays for every array it names.
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 from vf.kernels import floats_at, njit
 from vf.planes import FloatArray
-from vf.solver import Solver
+from vf.qp.solver import Solver
 
 EXTRA = 4  # numbers a row takes in the scratch besides its n coefficients
 # What `reduce` answers where there are no rows to look at.
@@ -352,7 +352,7 @@ def finish(u, duals, count, lower, upper, scratch, multipliers):  # type: ignore
     """A solver's answer made exact by its active set, and taken back to the joints; whether it is.
 
     Args:
-        u, duals: (n,), (≥ count,), see `vf.solver.Backend`.
+        u, duals: (n,), (≥ count,), see `vf.qp.solver.Backend`.
     """
     n = u.shape[0]
     factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)

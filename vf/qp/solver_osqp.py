@@ -11,7 +11,7 @@ from scipy import sparse
 
 from vf.kernels import njit
 from vf.planes import FloatArray
-from vf.solver import Answer, Solver
+from vf.qp.solver import Answer, Solver
 
 TOLERANCE = 1e-4  # primal and dual [mm]
 RHO = 2.0

@@ -6,7 +6,7 @@ children, which is a walk of half as many steps for little more than the same bo
 handful of triangles. Everything lies in flat arrays, siblings and their triangles side by side.
 
 Small kernels are left to LLVM to inline: numba's own inlining counts references to arrays at every
-use, which made the walk of `vf.cover` a quarter slower.
+use, which made the walk of `vf.rules.certified` a quarter slower.
 
 After the covariance trees of the paper's section III-A.
 """
@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vf.closest import closest_on_triangle, distance2_to_triangle, distance_error
 from vf.kernels import njit
 from vf.planes import FloatArray, IntArray
+from vf.tree.closest import closest_on_triangle, distance2_to_triangle, distance_error
 
 LEAF = 6
 # More than ever waits in a walk: three for each two splits, none of which is worse than 1 : 9.

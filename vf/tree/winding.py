@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vf.kernels import njit
-from vf.pdtree import STACK, Tree, children_of, triangles_of
 from vf.planes import FloatArray
+from vf.tree.pdtree import STACK, Tree, children_of, triangles_of
 
 # A node acts through its moments beyond this many of its radii; measured errors stay below 0.01.
 FAR = 3.0

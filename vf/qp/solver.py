@@ -1,6 +1,6 @@
-"""The solvers that settle what the shortcuts of `vf.qp` do not: their interface and their registry.
+"""The interface and the registry of the solvers: they get what `vf.qp.active_set` leaves open.
 
-A new one is a module with a class like `vf.solver_osqp.Osqp`, and a line in `_FACTORIES`.
+A new one is a module with a class like `vf.qp.solver_osqp.Osqp`, and a line in `_FACTORIES`.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ Answer = tuple[Solver, FloatArray, FloatArray, int]
 
 # Module and class of each, imported when first asked for, and what has to be installed for it.
 _FACTORIES = {
-    "osqp": ("vf.solver_osqp", "Osqp", "osqp"),
-    "daqp": ("vf.solver_daqp", "Daqp", "vf-sandbox[daqp]"),
+    "osqp": ("vf.qp.solver_osqp", "Osqp", "osqp"),
+    "daqp": ("vf.qp.solver_daqp", "Daqp", "vf-sandbox[daqp]"),
 }
 SOLVERS = tuple(_FACTORIES)
 

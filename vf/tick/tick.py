@@ -3,7 +3,7 @@
 `tick` goes on until it is done or has a question that only Python can answer: an arm or a fixture
 of the user's own, the side of a tip that no step led to, a problem that is left to a solver. It
 then says which, and goes on from there when it is called again. All it works with is in a block
-(`vf.block`), described in `vf.layout`.
+(`vf.tick.block`), described in `vf.layout`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from vf.chain import LINK, jacobian, tip_pose
-from vf.corridor import WALL, between
-from vf.cover import CORNERS as CLIPPED
-from vf.cover import EASE, HEAP, YIELD, walk
-from vf.haptics import master_force
 from vf.kernels import bytes_at, floats_at, integers_at, njit, now
 from vf.layout import (
     ALLOWED,
@@ -148,7 +143,8 @@ from vf.layout import (
     WORDS,
 )
 from vf.planes import LARGEST
-from vf.problem import (
+from vf.qp.active_set import answer, attempt, finish
+from vf.qp.problem import (
     JOINT_RANGE,
     desired_step,
     farthest,
@@ -160,9 +156,13 @@ from vf.problem import (
     sagitta,
     usable,
 )
-from vf.qp_kernels import answer, attempt, finish
-from vf.solver import Solver
+from vf.qp.solver import Solver
+from vf.rules.certified import CORNERS as CLIPPED
+from vf.rules.certified import EASE, HEAP, YIELD, walk
+from vf.rules.corridor import WALL, between
 from vf.status import Status
+from vf.tick.chain import LINK, jacobian, tip_pose
+from vf.tick.haptics import master_force
 
 # Missing less than this share of the standoff is rounding, not a state to report.
 NEGLIGIBLE = 0.1

@@ -10,7 +10,7 @@ import daqp
 import numpy as np
 
 from vf.planes import FloatArray
-from vf.solver import Answer, Solver
+from vf.qp.solver import Answer, Solver
 
 UNBOUNDED = 1e30
 TOLERANCE = 1e-9  # primal [mm]

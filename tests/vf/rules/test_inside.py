@@ -11,7 +11,7 @@ import trimesh
 import vf
 from tests.support import exact
 from tests.support.bodies import box, cells, crossing, folded, together, wrong
-from vf import inside
+from vf.rules import inside
 
 
 def starts(surface: vf.Surface, rng: np.random.Generator, count: int) -> list[np.ndarray]:

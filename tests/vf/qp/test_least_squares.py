@@ -21,9 +21,9 @@ from scipy.optimize import nnls
 import robots
 import vf
 from vf import ConstrainedLeastSquares, Solver
-from vf.solver import backend
+from vf.qp.solver import backend
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 UM = 1e-6
 DAMPING = 1e-8
 
@@ -309,7 +309,8 @@ def test_the_number_of_joints_is_checked():
 SOLVES = """
 import os, signal, sys
 import numpy as np
-from vf import ConstrainedLeastSquares, solver_osqp
+from vf import ConstrainedLeastSquares
+from vf.qp import solver_osqp
 
 told = int(sys.argv[1])
 found = heard = 0
@@ -380,7 +381,7 @@ def test_unknown_solvers_are_refused_with_the_known_ones() -> None:
 
 def test_a_solver_that_is_not_installed_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "daqp", None)
-    monkeypatch.delitem(sys.modules, "vf.solver_daqp", raising=False)
+    monkeypatch.delitem(sys.modules, "vf.qp.solver_daqp", raising=False)
     with pytest.raises(RuntimeError, match=r"daqp.*pip install 'vf-sandbox\[daqp\]'"):
         ConstrainedLeastSquares(3, solver="daqp")
 

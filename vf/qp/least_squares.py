@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vf.planes import FloatArray
-from vf.qp_kernels import answer, attempt, finish, left_over, scratch_size
-from vf.solver import Solver, backend
+from vf.qp.active_set import answer, attempt, finish, left_over, scratch_size
+from vf.qp.solver import Solver, backend
 
 __all__ = ["ConstrainedLeastSquares", "Solution", "Solver"]
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import vf
 from tests.support import naive
-from vf.closest import distance2_to_triangle
+from vf.tree.closest import distance2_to_triangle
 
 FEATURE_OF_WEIGHTS = {
     (True, True, True): vf.Feature.FACE,

@@ -14,11 +14,11 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf.closest import Feature, closest_on_triangle, closest_point
-from vf.conditions import SAME
 from vf.fixtures import MeshFixture
 from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length, checked_point
+from vf.rules.paper import SAME
 from vf.surface import Edge, Surface
+from vf.tree.closest import Feature, closest_on_triangle, closest_point
 
 
 class Verdict(IntEnum):

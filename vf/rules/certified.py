@@ -24,7 +24,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf.closest import closest_on_triangle, distance_error
 from vf.kernels import bits_as_float, float_as_bits, lowest_bit, njit
 from vf.layout import (
     BUMP,
@@ -41,7 +40,10 @@ from vf.layout import (
     RULE,
     TRIANGLE,
 )
-from vf.pdtree import (
+from vf.planes import FloatArray, Planes, Rule, checked_length, checked_point, planes_of
+from vf.surface import ROUND, Edge, Surface
+from vf.tree.closest import closest_on_triangle, distance_error
+from vf.tree.pdtree import (
     EXACT,
     Tree,
     box_distance2,
@@ -50,8 +52,6 @@ from vf.pdtree import (
     triangle_distance2,
     triangles_of,
 )
-from vf.planes import FloatArray, Planes, Rule, checked_length, checked_point, planes_of
-from vf.surface import ROUND, Edge, Surface
 
 BUDGET = 64
 # A face plane across a valley edge must leave x this share of the triangle's distance of room.

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vf import layout
-from vf.chain import LINK
-from vf.cover import BUDGET, CORNERS, HEAP
-from vf.pdtree import Tree
 from vf.planes import FloatArray, IntArray
-from vf.qp_kernels import scratch_size
+from vf.qp.active_set import scratch_size
+from vf.rules.certified import BUDGET, CORNERS, HEAP
+from vf.tick.chain import LINK
+from vf.tree.pdtree import Tree
 
 
 class Search(NamedTuple):
@@ -47,7 +47,7 @@ class Block:
         """For n joints.
 
         Args:
-            chain: of the arm, see `vf.chain`; None: it answers itself.
+            chain: of the arm, see `vf.tick.chain`; None: it answers itself.
             searches: one for each fixture; None: it answers itself.
         """
         self.words = np.zeros(layout.WORDS, dtype=np.int64)

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import vf
 from tests.support import naive
 from tests.support.everyday import everyday
-from vf import cover
-from vf.cover import BUDGET, YIELD
+from vf.rules import certified
+from vf.rules.certified import BUDGET, YIELD
 
 UM = 1e-6
 
@@ -276,7 +276,7 @@ def test_when_the_budget_is_spent_the_ball_shrinks_and_nothing_leaks():
 @pytest.mark.parametrize("budget", everyday([1, 3, 10], 10))
 @pytest.mark.parametrize(("standoff", "tip_radius"), [(0, 0), (0.05, 0), (0, 0.1), (0.05, 0.1)])
 def test_the_ball_shrinks_at_any_budget(budget, standoff, tip_radius, monkeypatch):
-    monkeypatch.setattr("vf.cover.BUDGET", budget)
+    monkeypatch.setattr("vf.rules.certified.BUDGET", budget)
     corners = _urchin()
     planes = check(loose(corners), np.zeros(3), 1.2, standoff, tip_radius, corners)
     assert len(planes) == budget
@@ -364,12 +364,12 @@ def test_the_queue_gives_the_nearest_first_whatever_comes_and_goes():
         growing = turn % 1000 < 500
         if size == 0 or (size < 500 and rng.random() < (0.7 if growing else 0.3)):
             key = float(rng.integers(50))
-            cover._push(queue, size, key, turn, float(turn))
+            certified._push(queue, size, key, turn, float(turn))
             heapq.heappush(expected, (key, turn))
             size += 1
         else:
             key, item = float(queue[0, 0]), int(queue[0, 1])
-            cover._pop(queue, size)
+            certified._pop(queue, size)
             size -= 1
             assert key == expected[0][0]
             expected.remove((key, item))

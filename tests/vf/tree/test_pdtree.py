@@ -10,8 +10,8 @@ import trimesh
 
 import vf
 from tests.support import naive
-from vf import pdtree
-from vf.pdtree import PATIENCE, UNFINISHED
+from vf.tree import pdtree
+from vf.tree.pdtree import PATIENCE, UNFINISHED
 
 
 def _soups() -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -22,10 +22,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vf import pdtree
-from vf.cover import FAINT, cover
 from vf.kernels import njit
-from vf.pdtree import (
+from vf.planes import FloatArray, IntArray, Planes, Rule
+from vf.rules.certified import FAINT, cover
+from vf.surface import Surface
+from vf.tree import pdtree
+from vf.tree.pdtree import (
     EXACT,
     STACK,
     Tree,
@@ -34,8 +36,6 @@ from vf.pdtree import (
     triangle_at,
     triangles_of,
 )
-from vf.planes import FloatArray, IntArray, Planes, Rule
-from vf.surface import Surface
 
 # Nearer than this to the surface there is no telling the sides apart [m].
 ON_SURFACE = 1e-9

@@ -7,9 +7,6 @@ from math import cos, radians
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf import pdtree
-from vf.block import Search
-from vf.cover import BUDGET, CORNERS, FAINT, HEAP, walk
 from vf.kernels import njit
 from vf.layout import (
     BUMP,
@@ -28,7 +25,10 @@ from vf.layout import (
     WALLED,
 )
 from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length, planes_of
+from vf.rules.certified import BUDGET, CORNERS, FAINT, HEAP, walk
 from vf.surface import ROUND, Edge
+from vf.tick.block import Search
+from vf.tree import pdtree
 
 FAR = 1.0  # the walls go on straight by this much before and after the path [m]
 STRAIGHT = 1e-9  # a point this near to the straight line of its neighbours is no bend [m]

@@ -13,10 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vf.closest import closest_on_triangle
 from vf.kernels import njit
 from vf.planes import Planes
 from vf.surface import Surface
+from vf.tree.closest import closest_on_triangle
 
 # Closest points of two neighbours count as one within this share of the median edge.
 SAME = 1e-9

@@ -1,7 +1,7 @@
 """The least squares problem of a tick from arm, target and planes, and the checks of its answer.
 
-All kernels, put together by `vf.tick`. Planes are records (PLANE,), see `vf.layout`. A plane holds
-one guarded point, the row of `places` (p, 3), whose linear Jacobian is that of `jacobians`
+All kernels, called by `vf.tick.tick`. Planes are records (PLANE,), see `vf.layout`. A plane holds
+one guarded point, a row of `places` (p, 3), whose linear Jacobian is that row of `jacobians`
 (p, 3, n).
 """
 

@@ -10,9 +10,9 @@ import trimesh
 import robots
 import vf
 from tests.support import exact, naive
-from vf.cover import EASE, walk_alone
 from vf.layout import PLANE
 from vf.planes import Planes, planes_of
+from vf.rules.certified import EASE, walk_alone
 
 STANDOFF = 1e-3
 RADIUS = 5e-3

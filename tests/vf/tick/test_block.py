@@ -9,8 +9,8 @@ import pytest
 import robots
 import vf
 from vf import layout
-from vf.block import Block, Search
 from vf.planes import planes_of, write_records
+from vf.tick.block import Block, Search
 
 
 def spans(groups: dict[str, list[tuple[str, int, int]]]) -> None:

@@ -1,0 +1,1 @@
+"""Which planes constrain the tool: certified, the paper's, corridors, ways out of a body."""
