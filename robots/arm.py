@@ -39,8 +39,8 @@ class Arm:
         neutral:  the rest pose, within the limits.
         chain:    `(k + 1, 14)`, the joints between base and tip as `vf.tick.chain` reads them.
         capsules: the bodies of the instrument, the one at the tip first.
-        anchors:  `(c, 2, 4)` where the ends of the capsules' axes are fixed, as `vf.tick.chain` reads
-                  them.
+        anchors:  `(c, 2, 4)`, where the ends of the capsules' axes are fixed, as `vf.tick.chain`
+                  reads them.
     """
 
     def __init__(
@@ -125,6 +125,20 @@ class Arm:
                 for capsule in self.capsules
             ]
         )
+
+    def axis_jacobians(self, q: ArrayLike) -> FloatArray:
+        """Linear Jacobians of the ends of the axes, `(c, 2, 3, n)`, along the base frame's axes."""
+        pin.computeJointJacobians(self._model, self._data, self._checked(q))
+        found = np.zeros((len(self.capsules), 2, 3, len(self.lower)))
+        for k, capsule in enumerate(self.capsules):
+            for i, (name, end) in enumerate(zip(capsule.frames, capsule.ends, strict=True)):
+                if name == BASE:
+                    continue
+                joint = self._model.getJointId(name)
+                J = pin.getJointJacobian(self._model, self._data, joint, _ALIGNED)
+                arm = self._data.oMi[joint].rotation @ np.array(end)
+                found[k, i] = J[:3] - pin.skew(arm) @ J[3:]
+        return found
 
     def clamp(self, q: ArrayLike) -> FloatArray:
         """`q` with every joint brought into its limits, a new `(n,)` array."""
