@@ -1,4 +1,4 @@
-"""What may import what: vf, robots and meshes know nothing of app, neither do their tests."""
+"""What may import what: vf, robots and meshes nothing of app, nor do their tests; vf's folders."""
 
 from __future__ import annotations
 
@@ -10,6 +10,15 @@ import pytest
 ROOT = Path(__file__).parents[1]
 # What each may import. An arm describes its joints as the kernels of vf read them.
 BELOW_APP = {"vf": {"vf"}, "robots": {"robots", "vf"}, "meshes": {"meshes", "vf"}}
+# What each folder of vf may import of vf; what is at its top may import all of them.
+BASE = {"vf.adjacency", "vf.kernels", "vf.layout", "vf.planes", "vf.status"}
+WITHIN_VF = {
+    "tree": BASE,
+    "qp": BASE,
+    "rules": BASE | {"vf.surface", "vf.tree"},
+    "tick": BASE | {"vf.surface", "vf.tree", "vf.rules", "vf.qp"},
+}
+MOST = 12  # modules in a folder of vf
 
 
 def imported(path: Path) -> set[str]:
@@ -43,6 +52,24 @@ def test_a_package_imports_only_those_below_it(package: str) -> None:
     for path in files:
         tops = {name.split(".")[0] for name in imported(path)}
         assert not tops & others, path
+
+
+@pytest.mark.parametrize("folder", WITHIN_VF)
+def test_a_folder_of_vf_imports_only_those_below_it(folder: str) -> None:
+    files = list((ROOT / "vf" / folder).glob("*.py"))
+    assert files
+    allowed = WITHIN_VF[folder] | {f"vf.{folder}"}
+    for path in files:
+        for name in imported(path):
+            if name.split(".")[0] == "vf":
+                assert any(f"{name}.".startswith(f"{one}.") for one in allowed), (path, name)
+
+
+def test_folders_of_vf_stay_small() -> None:
+    folders = [path for path in (ROOT / "vf").rglob("*") if list(path.glob("*.py"))]
+    assert len(folders) == len(WITHIN_VF)
+    for folder in (ROOT / "vf", *folders):
+        assert len(list(folder.glob("[!_]*.py"))) <= MOST, folder
 
 
 @pytest.mark.parametrize("package", BELOW_APP)

@@ -1,18 +1,20 @@
 """Anatomical mesh-based virtual fixtures: the mathematics, headless, in SI units."""
 
-from vf.controller import Controller, Settings, Step, Timings
+from vf.adjacency import Edge
+from vf.controller import Controller, Settings
 from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.planes import Planes, Rule
 from vf.qp.least_squares import ConstrainedLeastSquares, Solution
 from vf.qp.solver import SOLVERS, Solver
+from vf.reasons import Across, Cover, Explanation, TriangleReport, Verdict, explain
 from vf.rules.certified import certified_planes
 from vf.rules.corridor import CorridorFixture, cutting_direction
 from vf.rules.paper import every_plane, paper_planes
-from vf.rules.reasons import Across, Cover, Explanation, TriangleReport, Verdict, explain
 from vf.selftest import check_kernels
 from vf.status import Status
-from vf.surface import Contacts, Edge, Surface
+from vf.surface import Contacts, Surface
 from vf.tick.haptics import force
+from vf.tick.step import Step, Timings
 from vf.tree.closest import Feature, closest_point
 
 __version__ = "0.1.0"

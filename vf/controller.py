@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import inf, nan
 from time import monotonic
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from vf import layout
+from vf import layout as at
 from vf.fixtures import RULES, Fixture, MeshFixture
-from vf.planes import FloatArray, Planes, planes_of, write_records
+from vf.planes import FloatArray, Planes, write_records
 from vf.qp import problem
 from vf.qp.active_set import left_over
 from vf.qp.solver import Solver, backend, check_solver
@@ -24,26 +24,17 @@ from vf.selftest import check_kernels
 from vf.status import Status
 from vf.surface import Surface
 from vf.tick.block import Block
+from vf.tick.step import Step, Timings, numbers_of, tip_of
 from vf.tick.tick import tick
-from vf.tree.pdtree import nearest_face_freely
+from vf.tree.nearest import nearest_face_freely
 
-# The optimum is sought this many ticks ahead and then shortened to one. A tool pressed on a wall by
-# a proxy deep behind it spends its speed on the wall and crawls along it; looking farther makes it
-# quicker there, and jumpier over ridges.
+# The unconstrained step may be this many ticks long; the optimum is then shortened to one tick.
+# With 1 a tool that a proxy deep behind a wall presses onto it slides slowly, since most of its
+# motion is normal to the wall. A larger number makes it faster there and less steady at ridges.
 LOOK_AHEAD = 2.0
-# A solver is prepared for this many rows: more than few ticks have after what cannot bind is left
+# A solver is prepared for this many rows: few ticks have more after those that cannot bind are left
 # out.
 CAPACITY = 128
-
-
-class Timings(NamedTuple):
-    """Time spent by parts of a tick [s]."""
-
-    kinematics: float
-    planes: float  # query and choice of planes
-    qp: float
-    verify: float
-    total: float
 
 
 @dataclass(frozen=True)
@@ -105,119 +96,6 @@ RANGES = {
 }
 
 
-@dataclass(frozen=True, init=False)
-class Step:
-    """What a tick did. Arrays are read-only; poses in the arm's base frame.
-
-    Attributes:
-        q: (n,) joint positions to command [rad or m].
-        tip: T_base_tip at q.
-        planes: the half-spaces that were verified at the new tip.
-        force: (3,) haptic force [N].
-        status: what became of the tick.
-        solver: how the optimum was found.
-        multipliers: (m,) how far each plane pushed the tip back from where it would go [m].
-        radius: of the motion sphere [m]; `planes.radius` is what was allowed of it.
-        distance: from the tick's start to the nearest plane's closest point [m]; inf: none.
-        limits: (n,) −1 at a joint's lower position limit, +1 at its upper one, else 0.
-        timings: where the time went [s].
-    """
-
-    q: FloatArray
-    tip: pin.SE3
-    planes: Planes
-    force: FloatArray
-    status: Status
-    solver: Solver
-    multipliers: FloatArray
-    radius: float
-    distance: float
-    limits: NDArray[np.int8]
-    timings: Timings
-
-    def __init__(
-        self,
-        q: FloatArray,
-        tip: pin.SE3,
-        planes: Planes,
-        force: FloatArray,
-        status: Status,
-        solver: Solver,
-        multipliers: FloatArray,
-        radius: float,
-        distance: float,
-        limits: NDArray[np.int8],
-        timings: Timings,
-    ) -> None:
-        self.__dict__.update(
-            q=q, tip=tip, planes=planes, force=force, status=status, solver=solver,
-            multipliers=multipliers, radius=radius, distance=distance, limits=limits,
-            timings=timings,
-        )  # fmt: skip
-
-    def __getattr__(self, name: str) -> Any:
-        """Fields are cut out of the tick's record when they are first asked for.
-
-        A tick makes a step, but few look at all of it: ten arrays cost more than the tick.
-        """
-        if name not in _CUT:
-            raise AttributeError(f"'Step' object has no attribute '{name}'")
-        value = self.__dict__[name] = _CUT[name](*self.__dict__["_left"])
-        return value
-
-
-def _numbers(record: bytes, first: int, count: int) -> FloatArray:
-    """Numbers of the record of a step, read-only like the record itself."""
-    return np.frombuffer(record, np.float64, count, 8 * first)
-
-
-def _number(record: bytes, place: int) -> float:
-    return float(_numbers(record, place, 1)[0])
-
-
-def _cut_tip(record: bytes) -> pin.SE3:
-    T = _numbers(record, layout.REPORT_TIP, 12).reshape(3, 4)
-    return pin.SE3(T[:, :3], T[:, 3])
-
-
-def _records(record: bytes, n: int) -> FloatArray:
-    """The planes (m, PLANE)."""
-    return _numbers(record, layout.HEAD + 2 * n, -1).reshape(-1, layout.PLANE)
-
-
-def _cut_planes(record: bytes, n: int) -> Planes:
-    planes = planes_of(_records(record, n), _number(record, layout.REPORT_ALLOWED))
-    for array in vars(planes).values():
-        if isinstance(array, np.ndarray):
-            array.flags.writeable = False
-    return planes
-
-
-def _cut_timings(record: bytes, started: float) -> Timings:
-    placed, found, solved, ended = _numbers(record, layout.REPORT_MARKS, 4).tolist()
-    return Timings(
-        placed - started, found - placed, solved - found, ended - solved, ended - started
-    )
-
-
-# What makes each field of a step out of what a tick left: its record, n, and when it began [s].
-_CUT: dict[str, Callable[[bytes, int, float], Any]] = {
-    "q": lambda record, n, _: _numbers(record, layout.HEAD, n),
-    "tip": lambda record, n, _: _cut_tip(record),
-    "planes": lambda record, n, _: _cut_planes(record, n),
-    "force": lambda record, n, _: _numbers(record, layout.REPORT_FORCE, 3),
-    "status": lambda record, n, _: Status(int(_number(record, layout.REPORT_STATUS))),
-    "solver": lambda record, n, _: Solver(int(_number(record, layout.REPORT_SOLVER))),
-    "multipliers": lambda record, n, _: _read_only(_records(record, n)[:, layout.PUSH].copy()),
-    "radius": lambda record, n, _: _number(record, layout.REPORT_RADIUS),
-    "distance": lambda record, n, _: _number(record, layout.REPORT_DISTANCE),
-    "limits": lambda record, n, _: _read_only(
-        _numbers(record, layout.HEAD + n, n).astype(np.int8)
-    ),
-    "timings": lambda record, n, started: _cut_timings(record, started),
-}  # fmt: skip
-
-
 class Kinematics(Protocol):
     """What the controller needs of an arm; `robots.Arm` has it.
 
@@ -263,13 +141,13 @@ class Controller:
             n, chain, [getattr(fixture, "search", None) for fixture in self.fixtures]
         )
         for f, fixture in enumerate(self.fixtures):
-            block.searches[f, layout.KEEPS] = fixture.certified
+            block.searches[f, at.KEEPS] = fixture.certified
         table, numbers = block.table, block.numbers
         reach = np.asarray(arm.velocity) * s.dt
-        table[layout.LOWEST], table[layout.HIGHEST] = arm.lower, arm.upper
-        table[layout.SPEED], table[layout.HORIZON] = reach, LOOK_AHEAD * reach
+        table[at.LOWEST], table[at.HIGHEST] = arm.lower, arm.upper
+        table[at.SPEED], table[at.HORIZON] = reach, LOOK_AHEAD * reach
         # A joint of an arm that does not say what it is counts as revolute: that bends more.
-        table[layout.TURNS] = getattr(arm, "revolute", np.ones(n))
+        table[at.TURNS] = getattr(arm, "revolute", np.ones(n))
         # Whether a fixture promises anything of the tip's path, and not only of where it ends.
         guarded = any(
             getattr(fixture, "search", None) is not None
@@ -280,14 +158,14 @@ class Controller:
         # The ball searched is larger than the motion sphere by what the path of a step at full
         # speed leaves its chord; a step that bends more is shortened.
         _, J = arm.kinematics(0.5 * (arm.lower + arm.upper))
-        sagitta = 1.5 * problem.sagitta(J, reach, 1.0, table[layout.TURNS])
+        sagitta = 1.5 * problem.sagitta(J, reach, 1.0, table[at.TURNS])
         for place, value in (
-            (layout.STANDOFF, s.standoff), (layout.TIP_RADIUS, s.tip_radius),
-            (layout.LENGTH, s.rotation_length), (layout.DAMPING, s.damping),
-            (layout.GAIN, s.force_gain), (layout.CAP, s.force_cap),
-            (layout.TIP_REACH, s.tip_speed * s.dt), (layout.GUARDED, guarded),
-            (layout.ASKED, min(asked, default=0.0)), (layout.SAGITTA, guarded * sagitta),
-            (layout.BEYOND, guarded * s.standoff),
+            (at.STANDOFF, s.standoff), (at.TIP_RADIUS, s.tip_radius),
+            (at.LENGTH, s.rotation_length), (at.DAMPING, s.damping),
+            (at.GAIN, s.force_gain), (at.CAP, s.force_cap),
+            (at.TIP_REACH, s.tip_speed * s.dt), (at.GUARDED, guarded),
+            (at.ASKED, min(asked, default=0.0)), (at.SAGITTA, guarded * sagitta),
+            (at.BEYOND, guarded * s.standoff),
         ):  # fmt: skip
             numbers[place] = value
         self._backend = backend(s.solver, n, CAPACITY)
@@ -297,12 +175,12 @@ class Controller:
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
         self._tick = _COMPILED.tick
         self._answers = {
-            layout.PLACED: self._place,
-            layout.SIDED: self._look_for_sides,
-            layout.FOUND: self._ask_fixtures,
-            layout.SOLVED: self._solve,
-            layout.TRIED: self._place_tried,
-            layout.JUDGED: self._judge,
+            at.PLACED: self._place,
+            at.SIDED: self._look_for_sides,
+            at.FOUND: self._ask_fixtures,
+            at.SOLVED: self._solve,
+            at.TRIED: self._place_tried,
+            at.JUDGED: self._judge,
         }
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
@@ -313,7 +191,7 @@ class Controller:
                 raise
 
     def warm_up(self) -> None:
-        """Compile (or load from disk) every kernel a tick can meet, and check known answers.
+        """Compile (or load from disk) every kernel a tick may call, and check known answers.
 
         The first controller of a process does this when it is made, so no tick has to. Takes some
         20 s on the first start of an installation, and a fraction of a second later.
@@ -332,10 +210,10 @@ class Controller:
             T.translation + np.array([0.0, 0.0, 3e-3]),
         ):  # outside, inside
             surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
-            # What `Surface.nearest` goes on with in the middle of a large ball, hardly elsewhere.
+            # Used by `Surface.nearest` only where much of the surface is at the same distance.
             tree = surface.tree
             nearest_face_freely(tree.nodes, tree.corners, T.translation.copy(), inf, -1)
-            # And what only a step out of a body asks.
+            # Used only by steps out of a body.
             MeshFixture(surface).leads_out(T.translation, T.translation + 0.01)
             for rule in RULES:
                 fixture = MeshFixture(surface, rule)
@@ -354,30 +232,30 @@ class Controller:
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:
         """One tick from joint positions q (n,) towards the tip pose `target`, base frame.
 
-        Raises nothing: what cannot be used as one or the other is REFUSED. The step's `q` is then q
-        itself if the target was of no use, and the `q` of the last tick if the joints were. Only
-        where there was no tick with usable joints yet is it what came in (not a number where that
-        is no array), and the tip the identity.
+        Raises nothing: where q or the target is not usable, the status is REFUSED. The step's `q`
+        is then q itself if only the target is not usable, else the `q` of the last tick. Before the
+        first tick with usable joints it is the q given (nan if that is not an array of numbers),
+        and the tip is the identity.
         """
         started = monotonic()
-        # The kernel reads what it is given as it is: only what is known for numbers goes there.
+        # The kernel does not check types: only a float64 array of the right shape may go there.
         if type(q) is not np.ndarray or q.dtype is not _FLOAT or q.shape != self._shape:
             try:
                 q = np.array(q, dtype=np.float64)
-            except Exception:  # whatever it does that is no array when it is asked for numbers
+            except Exception:  # an object may raise anything when converted
                 return self._refused(np.full(self._shape, nan), started)
             if q.shape != self._shape:
                 return self._refused(q, started)
         block = self._block
         try:
             goal = target.homogeneous if isinstance(target, pin.SE3) else _NO_POSE
-        except Exception:  # a class of somebody's own, or one without its beginning
+        except Exception:  # a subclass, or an SE3 that was never initialised
             goal = _NO_POSE
-        m = self._tick(block.address, q, goal, layout.BEGIN)
+        m = self._tick(block.address, q, goal, at.BEGIN)
         while m < 0:
-            if m <= -layout.NO_TARGET:
+            if m <= -at.NO_TARGET:
                 T = pin.SE3(block.start[:, :3], block.start[:, 3])
-                return self._refused(q, started, T if m == -layout.NO_TARGET else None)
+                return self._refused(q, started, T if m == -at.NO_TARGET else None)
             self._answers[-m](q)
             m = self._tick(block.address, q, goal, -m)
         step = _new_step(Step)
@@ -387,31 +265,31 @@ class Controller:
         return step
 
     def _place(self, q: FloatArray) -> None:
-        """Where the tip is, of an arm that says so itself."""
+        """Pose and Jacobian at q, of an arm without a chain."""
         T, self._block.jacobian[:] = self.arm.kinematics(q.copy())
         self._block.start[:] = T.homogeneous[:3]
 
     def _place_tried(self, q: FloatArray) -> None:
-        T = self.arm.tip(self._block.table[layout.TRIAL].copy())
+        T = self.arm.tip(self._block.table[at.TRIAL].copy())
         self._block.tip[:] = T.homogeneous[:3]
 
     def _look_for_sides(self, q: FloatArray) -> None:
         block = self._block
         x = block.places[0].copy()
         for f, fixture in enumerate(self.fixtures):
-            block.sides[f, layout.SEEN : layout.SEEN + 3] = x
-            block.sides[f, layout.WITHIN] = fixture.inside(x)
+            block.sides[f, at.SEEN : at.SEEN + 3] = x
+            block.sides[f, at.WITHIN] = fixture.inside(x)
 
     @property
     def _inside(self) -> tuple[bool, ...]:
         """Which fixtures the tip is inside of."""
-        return tuple((self._block.sides[:, layout.WITHIN] > 0.0).tolist())
+        return tuple((self._block.sides[:, at.WITHIN] > 0.0).tolist())
 
     def _ask_fixtures(self, q: FloatArray) -> None:
-        """The planes of all fixtures, from themselves."""
+        """The planes of all fixtures, from their Python methods."""
         s, block = self.settings, self._block
         x = block.places[0].copy()
-        radius = float(block.numbers[layout.SEARCHED])
+        radius = float(block.numbers[at.SEARCHED])
         parts = [
             fixture.planes(x, radius, s.standoff, s.tip_radius, within)
             for fixture, within in zip(self.fixtures, self._inside, strict=True)
@@ -423,24 +301,24 @@ class Controller:
         for f, part in enumerate(parts):
             write_records(part, f, block.planes[first:])
             first += len(part)
-        block.words[layout.COUNT] = count
-        block.numbers[layout.REACH] = min((part.radius for part in parts), default=radius)
+        block.words[at.COUNT] = count
+        block.numbers[at.REACH] = min((part.radius for part in parts), default=radius)
 
     def _solve(self, q: FloatArray) -> None:
-        """What the shortcuts left, by the solver."""
+        """Solve the problem that the active set method left."""
         block = self._block
-        count = int(block.words[layout.LEFT])
+        count = int(block.words[at.LEFT])
         left = left_over(block.scratch, block.n, count)
         code, u, duals, _iterations = self._backend.solve(*left)
-        block.words[layout.ANSWER] = code
+        block.words[at.ANSWER] = code
         block.solution[:] = u
         block.duals[:count] = duals
 
     def _judge(self, q: FloatArray) -> None:
-        """What planes cannot say of a tip that starts inside of something: whether it leads out."""
+        """Whether a step that starts inside of a fixture leads out, which planes do not decide."""
         block = self._block
         x, y = block.places[0].copy(), block.trials[0].copy()
-        block.words[layout.ANSWER] = all(
+        block.words[at.ANSWER] = all(
             fixture.leads_out(x, y)
             for fixture, within in zip(self.fixtures, self._inside, strict=True)
             if within
@@ -451,7 +329,7 @@ class Controller:
         if T is not None:
             self._sent = q, pin.SE3(T)
         elif isinstance(self._sent, bytes):
-            q, T = _numbers(self._sent, layout.HEAD, self._block.n), _cut_tip(self._sent)
+            q, T = numbers_of(self._sent, at.HEAD, self._block.n), tip_of(self._sent)
         elif self._sent is not None:
             q, T = self._sent[0], pin.SE3(self._sent[1])
         zero = np.zeros(3)
@@ -483,15 +361,10 @@ def _check_limits(arm: Kinematics) -> None:
         )
 
 
-def _read_only(array: Any) -> Any:
-    array.flags.writeable = False
-    return array
-
-
 class _Compiled:
     """The tick, compiled for fixed types when the first controller is made.
 
-    Numba looks at every argument of every call; nobody looks here: `Controller.step` sees to it.
+    Numba checks every argument of every call; this is not checked: `Controller.step` does it.
     """
 
     @cached_property
@@ -502,5 +375,5 @@ class _Compiled:
 _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
 _NO_POSE = np.full((4, 4), nan)
-_RECORD = 8 * layout.PLANE  # bytes
+_RECORD = 8 * at.PLANE  # bytes
 _new_step = object.__new__

@@ -12,10 +12,11 @@ from vf.planes import FloatArray, Planes, checked_length
 from vf.rules.certified import cover
 from vf.rules.inside import ON_SURFACE, leads_out, on_surface, way_out
 from vf.rules.paper import every_plane, paper_planes
+from vf.rules.search import Search
 from vf.surface import Surface
-from vf.tick.block import Search
 
-# Left to x by the planes of the paper's rules, so that rounding cannot block sliding [m].
+# The planes of the paper's rules are at least this far below x, so that rounding cannot block
+# sliding [m].
 ROOM = 1e-11
 RULES = ("certified", "paper", "all", "off")
 
@@ -23,8 +24,8 @@ RULES = ("certified", "paper", "all", "off")
 class Fixture(Protocol):
     """What the controller asks of a fixture. Answers depend on the arguments alone.
 
-    One with an attribute `search` (`vf.tick.block.Search`) is not asked for planes where the tip is
-    neither inside nor on its surface: the tick finds them itself.
+    One with an attribute `search` (`vf.rules.search.Search`) is not asked for planes where the tip
+    is neither inside nor on its surface: the tick finds them itself.
     """
 
     radius: float | None  # of the motion sphere [m]; None: as far as the arm can go in a tick

@@ -17,6 +17,8 @@ IntArray = NDArray[np.int64]
 # Coordinates and lengths beyond this are refused [m]: rounding would be as large as a standoff, and
 # far beyond it squares overflow.
 LARGEST = 1e7
+# Bound on the rounding error of n·z, a few operations on coordinates up to one metre [m].
+ROUND = 1e-14
 
 
 def checked_point(x: ArrayLike) -> FloatArray:

@@ -4,47 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf.kernels import njit
-from vf.planes import LARGEST, FloatArray, IntArray, checked_length, checked_point
-from vf.tree import pdtree
-from vf.tree.pdtree import (
-    PATIENCE,
-    UNFINISHED,
-    closest_points,
-    nearest_face,
-    nearest_face_freely,
-    within_ball,
-)
+from vf.adjacency import adjacency, closedness, fill_normals
+from vf.planes import LARGEST, ROUND, FloatArray, IntArray, checked_length, checked_point
+from vf.tree.build import build
+from vf.tree.nearest import PATIENCE, UNFINISHED, nearest_face, nearest_face_freely
 from vf.tree.winding import Moments, moments, winding_number
-
-
-class Edge(IntEnum):
-    """What lies across an edge of a face, by the sign of N_a · (w_i − p_e)."""
-
-    RIDGE = 0  # locally convex: the two half-spaces form a union
-    VALLEY = 1  # locally concave: the two half-spaces intersect
-    FLAT = 2  # coplanar within rounding, or the neighbour has no usable normal
-    BOUNDARY = 3  # no neighbour
-    NON_MANIFOLD = 4  # more than one neighbour
-
-
-# Bound on the rounding error of n·z, a few operations on coordinates up to one metre [m].
-ROUND = 1e-14
-# Sine of the dihedral angle below which an edge is flat.
-FLAT_SINE = 1e-9
+from vf.tree.within import closest_points, within_ball
 
 
 class _Compiled:
-    """The kernels of single questions, compiled for fixed types when the first is asked.
+    """The kernels of single queries, compiled for fixed types at the first use.
 
-    Numba looks at every argument of every call; for a kernel of a few microseconds that takes as
-    long as a third of its work. Nobody looks here: the callers see to types and contiguous arrays.
+    Numba checks every argument of every call, a third of the time of a kernel of microseconds.
+    Functions compiled here are not checked: the callers guarantee types and contiguous arrays.
     """
 
     @cached_property
@@ -62,7 +39,7 @@ _COMPILED = _Compiled()
 class Contacts:
     """Triangles cut by a closed ball, one row each, in no particular order.
 
-    Which they are is found at once; where they are closest, when that is first asked for.
+    Closest points, features and distances are computed at their first use.
 
     Attributes:
         triangles: (k,) faces, the caller's indices.
@@ -133,18 +110,18 @@ class Surface:
         say("normals")
         self.normals = np.empty((len(faces), 3))
         lengths = np.empty((len(faces), 3))
-        _normals(vertices, faces, self.normals, lengths)
+        fill_normals(vertices, faces, self.normals, lengths)
         self.median_edge = float(np.median(lengths))
         say("neighbours")
-        self.neighbours, self.edges, self._manifold = _adjacency(vertices, faces, self.normals)
+        self.neighbours, self.edges, self._manifold = adjacency(vertices, faces, self.normals)
         say("PD-tree")
-        self.tree = pdtree.build(vertices, faces)
+        self.tree = build(vertices, faces)
         for array in (
             self.vertices, self.faces, self.normals, self.neighbours, self.edges, *self.tree
         ):  # fmt: skip
             array.flags.writeable = False
-        # Where `nearest` looks first. Threads may overwrite each other's: it makes an answer
-        # quicker, never another.
+        # The row that `nearest` tests first. Threads may overwrite each other's: it changes how
+        # long an answer takes, never the answer.
         self._guess = -1
 
     @staticmethod
@@ -232,7 +209,7 @@ class Surface:
             checked_point(x)
         tree, guess = self.tree, self._guess
         distance, row = _COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
-        if row == UNFINISHED:  # a point that has much of the surface at the same distance
+        if row == UNFINISHED:  # much of the surface is at the same distance
             distance, row = nearest_face_freely(tree[0], tree[1], point, float(limit), guess)
         if row < 0:
             return np.inf, -1, checked_point(x)
@@ -244,7 +221,7 @@ class Surface:
         if self._manifold:
             none = np.zeros(len(self.faces), dtype=bool)
             return True, moments(self.tree, ~none), none
-        proper, repeated, closed = _closedness(self.vertices, self.faces)
+        proper, repeated, closed = closedness(self.vertices, self.faces)
         return closed, moments(self.tree, proper & ~repeated), repeated
 
     @property
@@ -276,10 +253,10 @@ class Surface:
     def inside(self, x: ArrayLike) -> bool:
         """Whether x (3,) is inside: |winding number| of 1, and only if the surface is closed.
 
-        An open surface has no inside to be sure of (a vessel's lumen is free space), so there the
-        answer is False and the fixtures guard it from both sides. Nor does a winding number of 2
-        say so: it is that of the cavity of a hollow body whose inner shell is wound outwards too,
-        as scanners export it, and of what two bodies have in common.
+        An open surface has no defined inside (a vessel's lumen is free space), so there the answer
+        is False and the fixtures guard it from both sides. A winding number of 2 is not inside
+        either: the cavity of a hollow body whose inner shell is wound outwards too, as scanners
+        export it, has it, and so has the intersection of two bodies.
         """
         return self.closed and 0.5 < abs(self.winding(x)) < 1.5
 
@@ -289,119 +266,3 @@ def _used(vertices: FloatArray, faces: IntArray) -> FloatArray:
     mask = np.zeros(len(vertices), dtype=bool)
     mask[faces] = True
     return vertices if mask.all() else vertices[mask]
-
-
-@njit(cache=True, nogil=True)
-def _normals(vertices, faces, normals, lengths):  # type: ignore[no-untyped-def]
-    """Unit normals (zero without area) and the three edge lengths of every face."""
-    for i in range(faces.shape[0]):
-        a, b, c = vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        norm = np.sqrt(nx * nx + ny * ny + nz * nz)
-        scale = 1.0 / norm if norm > 0.0 else 0.0
-        normals[i, 0], normals[i, 1], normals[i, 2] = nx * scale, ny * scale, nz * scale
-        lengths[i, 0] = np.sqrt(ux * ux + uy * uy + uz * uz)
-        lengths[i, 1] = np.sqrt(wx * wx + wy * wy + wz * wz)
-        lengths[i, 2] = np.sqrt(vx * vx + vy * vy + vz * vz)
-
-
-def edge_keys(faces: IntArray, vertices: int) -> IntArray:
-    """One integer per edge (3m,), the same for both directions, faces' edges in a row."""
-    tail = faces.ravel()
-    head = faces[:, [1, 2, 0]].ravel()
-    return np.minimum(tail, head) * np.int64(vertices) + np.maximum(tail, head)
-
-
-def _adjacency(
-    vertices: FloatArray, faces: IntArray, normals: FloatArray
-) -> tuple[NDArray[np.int32], NDArray[np.int8], bool]:
-    """Neighbours, kinds, and whether every edge has two faces that walk it in turn."""
-    keys = edge_keys(faces, len(vertices))
-    rank = np.argsort(keys, kind="stable")
-    neighbours = np.empty((len(faces), 3), dtype=np.int32)
-    kinds = np.empty((len(faces), 3), dtype=np.int8)
-    manifold = _link(keys, rank, vertices, faces, normals, neighbours, kinds)
-    return neighbours, kinds, bool(manifold)
-
-
-@njit(cache=True, nogil=True)
-def _link(keys, rank, vertices, faces, normals, neighbours, kinds):  # type: ignore[no-untyped-def]
-    """Neighbour and kind of every edge from the sorted edge table; whether all are in pairs."""
-    count = keys.shape[0]
-    manifold = True
-    i = 0
-    while i < count:
-        j = i + 1
-        while j < count and keys[rank[j]] == keys[rank[i]]:
-            j += 1
-        if j - i == 2:
-            e, g = rank[i], rank[i + 1]
-            _pair(e, g, vertices, faces, normals, neighbours, kinds)
-            _pair(g, e, vertices, faces, normals, neighbours, kinds)
-        else:
-            for k in range(i, j):
-                e = rank[k]
-                neighbours[e // 3, e % 3] = -1 if j - i == 1 else -2
-                kinds[e // 3, e % 3] = 3 if j - i == 1 else 4
-        excess = 0
-        for k in range(i, j):
-            e = rank[k]
-            excess += 1 if faces[e // 3, e % 3] < faces[e // 3, (e % 3 + 1) % 3] else -1
-        manifold &= excess == 0 and j - i == 2
-        i = j
-    return manifold
-
-
-@njit(cache=True, nogil=True)
-def _pair(e, g, vertices, faces, normals, neighbours, kinds):  # type: ignore[no-untyped-def]
-    """Half-edge e (face 3·i + k) learns of the face behind half-edge g."""
-    i, k = e // 3, e % 3
-    a = g // 3
-    neighbours[i, k] = a
-    p = vertices[faces[i, k]]
-    w = vertices[faces[i, (k + 2) % 3]]
-    dx, dy, dz = w[0] - p[0], w[1] - p[1], w[2] - p[2]
-    side = normals[a, 0] * dx + normals[a, 1] * dy + normals[a, 2] * dz
-    # The sine of the angle is that height of w over the neighbour's plane per height over the edge.
-    q = vertices[faces[i, (k + 1) % 3]]
-    ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    along = ex * ex + ey * ey + ez * ez
-    height2 = dx * dx + dy * dy + dz * dz
-    if along > 0.0:
-        height2 -= (dx * ex + dy * ey + dz * ez) ** 2 / along
-    flat = FLAT_SINE * np.sqrt(max(height2, 0.0)) + 1e-300
-    if side > flat:
-        kinds[i, k] = 1
-    elif side < -flat:
-        kinds[i, k] = 0
-    else:
-        kinds[i, k] = 2
-
-
-def _closedness(
-    vertices: FloatArray, faces: IntArray
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
-    """(m,) whether a face has three corners, (m,) whether it repeats another, and closedness."""
-    # Adding zero turns −0.0 into 0.0, which is the same place.
-    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()
-    _, place = np.unique(rows, return_inverse=True)
-    corners = place.reshape(-1)[faces]
-    ordered = np.sort(corners, axis=1)
-    proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
-    rank = np.lexsort(ordered.T)
-    ranked = ordered[rank]
-    repeated = np.zeros(len(faces), dtype=bool)
-    repeated[rank[1:]] = (ranked[1:] == ranked[:-1]).all(axis=1)
-    first = proper & ~repeated
-    if not first.any():
-        return proper, repeated, False
-    kept = np.ascontiguousarray(corners[first])
-    keys = edge_keys(kept, len(vertices))
-    forward = np.where(kept < kept[:, [1, 2, 0]], 1, -1).ravel()
-    rank = np.argsort(keys)
-    keys, forward = keys[rank], forward[rank]
-    starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    return proper, repeated, not np.add.reduceat(forward, starts).any()

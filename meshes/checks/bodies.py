@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.checks import probe
 from meshes.checks.topology import Topology
 from vf.kernels import njit
-from vf.tree import pdtree
+from vf.tree.build import build
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -126,7 +126,7 @@ class _Rays:
         self._left = 4 * probe.effort(
             len(faces)
         )  # rays are quick, and a part of the answer is no use
-        self._tree = pdtree.build(vertices, faces)
+        self._tree = build(vertices, faces)
         turn = np.pi * (1.0 + 5.0**0.5) * np.arange(_RAYS)
         height = 1.0 - (2.0 * np.arange(_RAYS) + 1.0) / _RAYS
         # Consecutive ones are distributed over the sphere.

@@ -19,7 +19,7 @@ from meshes.formats.text import pluralized
 from meshes.meaning import MEANING
 from vf import Surface
 from vf.kernels import njit
-from vf.tree import pdtree
+from vf.tree.build import build
 from vf.tree.closest import SLIVER
 
 FloatArray = NDArray[np.float64]
@@ -250,7 +250,7 @@ def health(
     wall, wall_face, examined = None, None, 0
     if examine:
         say("self-intersections and walls")
-        tree = mesh.tree if isinstance(mesh, Surface) else pdtree.build(v, f)
+        tree = mesh.tree if isinstance(mesh, Surface) else build(v, f)
         wanted = min(examine, len(f))
         sample = probe.well_distributed(
             np.unique(np.linspace(0, len(f) - 1, wanted).astype(np.int64))

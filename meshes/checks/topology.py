@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vf.adjacency import edge_keys
 from vf.kernels import njit
-from vf.surface import edge_keys
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -41,6 +41,14 @@ def caller(x):
 def later(x):
     return helper(x) + 0.5
 """
+BY_MODULE = """
+import {helper} as at
+from vf.kernels import njit
+
+@njit(cache=True)
+def caller(x):
+    return 2.0 * (at.FACTOR * x + at.helper(0.0) + 0.5)
+"""
 OF_THREE = 2.0 * (3.0 * 3.0 + 1.0 + 0.5)
 
 
@@ -142,6 +150,20 @@ def test_a_changed_callee_is_noticed(tmp_path, old, new, value):
     again = start(tmp_path, helper=HELPER.replace(old, new))
     assert again.caller(3.0) == value
     assert loaded(again)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "value"),
+    [("FACTOR = 3", "FACTOR = 4", 2.0 * (12.0 + 1.5)), ("+ 1.0", "+ 2.0", 2.0 * (9.0 + 2.5))],
+)
+def test_changed_constants_and_kernels_of_a_module_are_noticed(tmp_path, old, new, value):
+    assert start(tmp_path, caller=BY_MODULE).caller(3.0) == OF_THREE
+    again = start(tmp_path, caller=BY_MODULE)
+    assert again.caller(3.0) == OF_THREE
+    assert loaded(again)
+    changed = start(tmp_path, HELPER.replace(old, new), BY_MODULE)
+    assert changed.caller(3.0) == value
+    assert not loaded(changed)
 
 
 def test_changed_arrays_are_noticed_and_comments_are_not(tmp_path):

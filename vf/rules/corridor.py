@@ -5,39 +5,28 @@ from __future__ import annotations
 from math import cos, radians
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from vf import layout as at
 from vf.kernels import njit
-from vf.layout import (
-    BUMP,
-    CAPSULE,
-    FIXTURE,
-    FLOOR,
-    FOOT,
-    LIMIT,
-    NORMAL,
-    OFFSET,
-    PLANE,
-    POINT,
-    PUSH,
-    RULE,
-    TRIANGLE,
-    WALLED,
-)
-from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length, planes_of
+from vf.planes import ROUND, FloatArray, Planes, Rule, checked_length, planes_of
 from vf.rules.certified import BUDGET, CORNERS, FAINT, HEAP, walk
-from vf.surface import ROUND, Edge
-from vf.tick.block import Search
-from vf.tree import pdtree
+from vf.rules.search import Search
+from vf.rules.walls import (
+    ACROSS,
+    END,
+    FAR,
+    ON,
+    ON_WALL,
+    bends,
+    room_between,
+    tree_of,
+    walls_along,
+)
 
-FAR = 1.0  # the walls go on straight by this much before and after the path [m]
-STRAIGHT = 1e-9  # a point this near to the straight line of its neighbours is no bend [m]
-ON_WALL = 1e-12  # walls this near to each other meet, and on a wall within rounding [m]
-# How far a tool outside is led back in a tick [m]: 10 mm/s at 1 kHz.
+# A tool outside is moved back by at most this in a tick [m]: 10 mm/s at 1 kHz.
 LED_BACK = 1e-5
 CORRIDOR = int(Rule.CORRIDOR)
-# A row of the walls: start (2), end (2), normal into the corridor (2), on which side of the path.
-END, ACROSS, ON, WALL = 2, 4, 6, 7
 FLATTEN = cos(radians(30.0))
 
 
@@ -81,19 +70,19 @@ class CorridorFixture:
         self.width = checked_length("corridor's width", width, positive=True)
         self.radius = radius if radius is None else checked_length("radius", radius, positive=True)
         self.axes = _across(self.direction)  # (2, 3): the plane in which the walls are lines
-        self.walls = _walls(_bends(self.path @ self.axes.T), self.width)  # (k, WALL) [m]
-        self.tree, self.edges = _tree(self.walls)
-        # Nearer to a wall no plane separates the tip from it: it counts as being on the wall [m].
+        self.walls = walls_along(bends(self.path @ self.axes.T), self.width)  # (k, WALL) [m]
+        self.tree, self.edges = tree_of(self.walls)
+        # A tip closer to a wall than this counts as on it: no plane separates the two [m].
         self.hair = max(ON_WALL, 2.0 * FAINT * ROUND * float(np.abs(self.walls[:, :ACROSS]).max()))
         frame = np.array([*self.axes.ravel(), self.width, self.hair])
-        self.search = Search(WALLED, self.tree, self.edges, self.walls, frame)
+        self.search = Search(at.WALLED, self.tree, self.edges, self.walls, frame)
         for array in (
             self.path, self.direction, self.axes, self.walls, self.edges, frame, *self.tree
         ):  # fmt: skip
             array.flags.writeable = False
 
     def inside(self, x: FloatArray) -> bool:
-        """Never: outside the corridor is not inside an anatomy, and `planes` leads back."""
+        """Always False: `planes` leads a tool outside the corridor back, it is not inside."""
         return False
 
     def leads_out(self, x: FloatArray, y: FloatArray) -> bool:
@@ -102,7 +91,7 @@ class CorridorFixture:
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
     ) -> Planes:
-        planes = np.empty((BUDGET, PLANE))
+        planes = np.empty((BUDGET, at.PLANE))
         m, reach = _between_alone(
             self.walls, self.axes, self.width, self.hair, *self.tree, self.edges, x, radius,
             standoff, tip_radius, planes,
@@ -112,7 +101,7 @@ class CorridorFixture:
     def room(self, x: ArrayLike) -> float:
         """Distance of x (3,) to the nearest wall [m], negative outside the corridor."""
         flat = self.axes @ np.asarray(x, dtype=np.float64)
-        return float(_room(self.walls, flat[0], flat[1])[0])
+        return float(room_between(self.walls, flat[0], flat[1])[0])
 
     def ribbons(self, half_height: float, beyond: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """The two walls as strips of quadrangles to draw, each (k, 4, 3) [m].
@@ -195,213 +184,36 @@ def _across(direction: FloatArray) -> FloatArray:
     return np.stack([first, np.cross(direction, first)])
 
 
-def _bends(points: FloatArray) -> FloatArray:
-    """The ends and bends (k, 2) of a flat polyline: no repeated points, none on a straight line."""
-    distinct = [points[0]]
-    for p in points[1:]:
-        if np.linalg.norm(p - distinct[-1]) > STRAIGHT:
-            distinct.append(p)
-    if len(distinct) < 2:
-        raise ValueError("the path has no length across the direction of the cut")
-    kept = [0]
-    for i in range(1, len(distinct) - 1):
-        start = distinct[kept[-1]]
-        chord = distinct[i + 1] - start
-        length = float(np.linalg.norm(chord))
-        between = np.array(distinct[kept[-1] + 1 : i + 1]) - start
-        off = np.abs(between[:, 0] * chord[1] - between[:, 1] * chord[0])
-        ahead = np.append(between @ chord, length**2)
-        if (off > STRAIGHT * length).any() or ahead[0] < 0.0 or (np.diff(ahead) < 0.0).any():
-            kept.append(i)
-    return np.array([distinct[i] for i in (*kept, len(distinct) - 1)])
-
-
-def _walls(points: FloatArray, width: float) -> FloatArray:
-    """Pieces (k, WALL) of both walls, those of side 0 first, each side along the path."""
-    steps = np.diff(points, axis=0)
-    forward = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    points = points.copy()
-    points[0] -= FAR * forward[0]
-    points[-1] += FAR * forward[-1]
-    starts, ends, normals, sides, legs = [], [], [], [], []
-    for side, sign in enumerate((1.0, -1.0)):
-        across = sign * width * left
-        corner = points[0] + across[0]
-        for i in range(len(forward)):
-            a = corner
-            bridge = None
-            if i + 1 == len(forward):
-                b = points[i + 1] + across[i]
-            else:
-                turn = forward[i, 0] * forward[i + 1, 1] - forward[i, 1] * forward[i + 1, 0]
-                cosine = float(forward[i] @ forward[i + 1])
-                if cosine < -0.999:
-                    raise ValueError(f"the path turns back on itself at its bend {i + 1}")
-                if sign * turn > 0.0:  # the inside of the bend: the walls meet
-                    b = corner = points[i + 1] + (across[i] + across[i + 1]) / (1.0 + cosine)
-                else:
-                    b, corner = points[i + 1] + across[i], points[i + 1] + across[i + 1]
-                    bridge = corner
-            if not (b - a) @ forward[i] > 0.0:
-                raise ValueError(
-                    f"the path bends too tightly for a corridor of ±{width * 1e3:g} mm at its "
-                    f"bend {i + 1}: smooth it, or take a narrower corridor"
-                )
-            starts.append(a)
-            ends.append(b)
-            normals.append(-sign * left[i])
-            sides.append(side)
-            legs.append(i)
-            if bridge is not None and np.linalg.norm(bridge - b) > STRAIGHT:
-                along = (bridge - b) / np.linalg.norm(bridge - b)
-                starts.append(b)
-                ends.append(bridge)
-                normals.append(-sign * np.array([-along[1], along[0]]))
-                sides.append(side)
-                legs.append(i)
-    walls = np.column_stack([starts, ends, normals, sides])
-    _check_apart(walls, np.array(legs), width)
-    return walls
-
-
-def _tree(walls: FloatArray) -> tuple[pdtree.Tree, NDArray[np.int8]]:
-    """The walls for `cover.walk`: triangles (a, b, b) in the plane, and kinds (k, 3) of edges.
-
-    Edge 2 speaks for the bend at a and edge 1 for that at b: a valley where the wall goes on
-    towards the corridor.
-    """
-    k = len(walls)
-    corners = np.zeros((3 * k, 3))
-    corners[0::3, :2] = walls[:, :END]
-    corners[1::3, :2] = corners[2::3, :2] = walls[:, END:ACROSS]
-    tree = pdtree.build(corners, np.arange(3 * k).reshape(k, 3))
-    edges = np.full((k, 3), int(Edge.RIDGE), dtype=np.int8)
-    for i in range(k):
-        for edge, j, far in ((2, i - 1, 0), (1, i + 1, END)):
-            if 0 <= j < k and walls[j, ON] == walls[i, ON]:
-                ahead = walls[j, far : far + 2] - walls[i, :END]
-                if walls[i, ACROSS:ON] @ ahead > 0.0:
-                    edges[i, edge] = Edge.VALLEY
-    # What `pdtree.build` says of slivers does not hold for what is a line: its distance is exact.
-    return tree._replace(errors=np.zeros(k)), edges
-
-
-def _check_apart(walls: FloatArray, legs: IntArray, width: float) -> None:
-    """Refuse walls that meet: which side of them is free would then be open.
-
-    Args:
-        legs: (k,) from which leg of the path each piece comes.
-    """
-    i, j = _meeting(walls[:, :END].copy(), walls[:, END:ACROSS].copy(), walls[:, ON].copy())
-    if i >= 0:
-        raise ValueError(
-            f"the path comes too near to itself for a corridor of ±{width * 1e3:g} mm: the walls "
-            f"along its legs {legs[i] + 1} and {legs[j] + 1} meet, its ends carried on straight by "
-            f"{FAR:g} m; take a part of the path, or a narrower corridor"
-        )
-
-
-@njit(cache=True)
-def _meeting(starts, ends, sides):  # type: ignore[no-untyped-def]
-    """Two pieces of the walls that touch though neither follows the other, or −1, −1."""
-    for i in range(len(sides)):
-        for j in range(i + 1, len(sides)):
-            if j == i + 1 and sides[i] == sides[j]:
-                continue
-            apart = False
-            for k in range(2):
-                apart |= max(starts[i, k], ends[i, k]) < min(starts[j, k], ends[j, k]) - ON_WALL
-                apart |= max(starts[j, k], ends[j, k]) < min(starts[i, k], ends[i, k]) - ON_WALL
-            if (
-                not apart
-                and _distance2(starts[i], ends[i], starts[j], ends[j]) <= ON_WALL * ON_WALL
-            ):
-                return i, j
-    return -1, -1
-
-
-@njit(cache=True)
-def _distance2(a, b, c, d):  # type: ignore[no-untyped-def]
-    """Squared distance of the segments ab and cd in the plane: 0 where they cross."""
-    c_left = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0
-    d_left = (b[0] - a[0]) * (d[1] - a[1]) - (b[1] - a[1]) * (d[0] - a[0]) > 0.0
-    a_left = (d[0] - c[0]) * (a[1] - c[1]) - (d[1] - c[1]) * (a[0] - c[0]) > 0.0
-    b_left = (d[0] - c[0]) * (b[1] - c[1]) - (d[1] - c[1]) * (b[0] - c[0]) > 0.0
-    if c_left != d_left and a_left != b_left:
-        return 0.0
-    return min(
-        _closest(a[0], a[1], b[0], b[1], c[0], c[1])[3],
-        _closest(a[0], a[1], b[0], b[1], d[0], d[1])[3],
-        _closest(c[0], c[1], d[0], d[1], a[0], a[1])[3],
-        _closest(c[0], c[1], d[0], d[1], b[0], b[1])[3],
-    )
-
-
-@njit(cache=True)
-def _closest(ax, ay, bx, by, x, y):  # type: ignore[no-untyped-def]
-    """Closest point of a segment: its share of the way from a to b, itself, squared distance."""
-    ux, uy = bx - ax, by - ay
-    uu = ux * ux + uy * uy
-    t = ((x - ax) * ux + (y - ay) * uy) / uu if uu > 0.0 else 0.0
-    t = min(max(t, 0.0), 1.0)
-    px, py = ax + t * ux, ay + t * uy
-    return t, px, py, (x - px) ** 2 + (y - py) ** 2
-
-
-@njit(cache=True)
-def _room(walls, x, y):  # type: ignore[no-untyped-def]
-    """Signed distance to the nearest wall, the nearest point, and the normal that gave the sign."""
-    best = np.inf
-    nearest = 0
-    at = 0.0
-    px = py = 0.0
-    for i in range(walls.shape[0]):
-        t, cx, cy, d2 = _closest(walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3], x, y)
-        if d2 < best:
-            best, nearest, at, px, py = d2, i, t, cx, cy
-    nx, ny = walls[nearest, ACROSS], walls[nearest, ACROSS + 1]
-    other = nearest - 1 if at == 0.0 else nearest + 1
-    ends = (at == 0.0 or at == 1.0) and 0 <= other < walls.shape[0]
-    if ends and walls[other, ON] == walls[nearest, ON]:
-        nx += walls[other, ACROSS]
-        ny += walls[other, ACROSS + 1]
-    distance = np.sqrt(best)
-    if nx * (x - px) + ny * (y - py) < 0.0:
-        distance = -distance
-    size = np.sqrt(nx * nx + ny * ny)
-    return distance, px, py, nx / size, ny / size
-
-
 @njit(cache=True)
 def between(  # type: ignore[no-untyped-def]
     walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
     tip_radius, planes, first, queue, polygons,
 ):  # fmt: skip
-    """Planes of a corridor for a tip at p (3,): as `cover.walk`, which does it in the plane.
+    """Planes of a corridor for a tip at p (3,): from `certified.walk` in the plane of the axes.
 
-    What separates x from a piece there separates the tip from the whole wall, which stands on it
-    along the direction of the cut.
+    A line that separates x from a piece of the wall in that plane gives a plane, along the
+    direction of the cut, that separates the tip from the whole wall.
 
     Args:
         walls, axes: (k, WALL) pieces in the plane of the axes (2, 3).
-        hair: a tip nearer to a wall than this is on it or outside [m].
+        hair: a tip closer to a wall than this counts as on it or outside [m].
         nodes, corners, order, slivers, edges: of them.
     """
     x = axes[0, 0] * p[0] + axes[0, 1] * p[1] + axes[0, 2] * p[2]
     y = axes[1, 0] * p[0] + axes[1, 1] * p[1] + axes[1, 2] * p[2]
-    room, px, py, nx, ny = _room(walls, x, y)
+    room, px, py, nx, ny = room_between(walls, x, y)
     if room < hair:
         if room < -hair:
             nx, ny = (px - x) / -room, (py - y) / -room
-        # The controller asks to be at the standoff from this foot, in one tick by half.
+        # The controller recovers half of what is missing to the standoff from this foot in a tick.
         back = min(2.0 * LED_BACK, max(-room, 0.0) + standoff + tip_radius) - standoff - tip_radius
         plane = planes[first]
-        plane[NORMAL], plane[NORMAL + 1] = nx, ny
-        plane[OFFSET] = nx * x + ny * y
-        plane[FOOT], plane[FOOT + 1] = x + back * nx, y + back * ny
-        plane[FLOOR] = plane[LIMIT] = -np.inf
-        plane[FIXTURE] = plane[CAPSULE] = plane[POINT] = plane[PUSH] = plane[BUMP] = 0.0
+        plane[at.NORMAL], plane[at.NORMAL + 1] = nx, ny
+        plane[at.OFFSET] = nx * x + ny * y
+        plane[at.FOOT], plane[at.FOOT + 1] = x + back * nx, y + back * ny
+        plane[at.FLOOR] = plane[at.LIMIT] = -np.inf
+        plane[at.FIXTURE] = plane[at.CAPSULE] = plane[at.POINT] = 0.0
+        plane[at.PUSH] = plane[at.BUMP] = 0.0
         m = 1
         valid = min(radius, max(-room, 0.0) + width)
     else:
@@ -413,13 +225,13 @@ def between(  # type: ignore[no-untyped-def]
         )  # fmt: skip
     for i in range(first, first + m):
         plane = planes[i]
-        nx, ny = plane[NORMAL], plane[NORMAL + 1]
-        fx, fy = plane[FOOT] - x, plane[FOOT + 1] - y
+        nx, ny = plane[at.NORMAL], plane[at.NORMAL + 1]
+        fx, fy = plane[at.FOOT] - x, plane[at.FOOT + 1] - y
         for c in range(3):
-            plane[NORMAL + c] = nx * axes[0, c] + ny * axes[1, c]
-            plane[FOOT + c] = p[c] + (fx * axes[0, c] + fy * axes[1, c])
-        plane[TRIANGLE] = -1.0
-        plane[RULE] = CORRIDOR
+            plane[at.NORMAL + c] = nx * axes[0, c] + ny * axes[1, c]
+            plane[at.FOOT + c] = p[c] + (fx * axes[0, c] + fy * axes[1, c])
+        plane[at.TRIANGLE] = -1.0
+        plane[at.RULE] = CORRIDOR
     return m, valid
 
 
@@ -428,7 +240,7 @@ def _between_alone(  # type: ignore[no-untyped-def]
     walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
     tip_radius, planes,
 ):  # fmt: skip
-    """`between` with room of its own to work in, for a single call from Python."""
+    """`between` with its own working memory, for a single call from Python."""
     return between(
         walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
         tip_radius, planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),

@@ -26,34 +26,25 @@ from vf.kernels import njit
 from vf.planes import FloatArray, IntArray, Planes, Rule
 from vf.rules.certified import FAINT, cover
 from vf.surface import Surface
-from vf.tree import pdtree
-from vf.tree.pdtree import (
-    EXACT,
-    STACK,
-    Tree,
-    box_distance2,
-    children_of,
-    triangle_at,
-    triangles_of,
-)
+from vf.tree.build import build
+from vf.tree.nearest import nearest_face_facing
+from vf.tree.pdtree import EXACT, Tree
+from vf.tree.sides import inner_side, side
 
-# Nearer than this to the surface there is no telling the sides apart [m].
+# Closer to the surface than this, inside and outside are not distinguished [m].
 ON_SURFACE = 1e-9
 LIFT = 1e-8  # [m], far above rounding and far below any standoff
-# From inside, a step may go this share of the way to the nearest surface, until that is `HOP` away:
-# then a step may pass it.
+# Inside, a step may cover this share of the distance to the nearest surface. Where that distance is
+# at most `HOP`, a step may pass through the surface to the outside.
 APPROACH = 0.75
 HOP = 2e-5  # [m]
-# A step that may pass a wall keeps this share of their distance from guarded triangles, or the
-# standoff if that is less: behind the wall there may be less room than a standoff.
+# A step that may pass a wall stays away from guarded triangles by this share of their distance, or
+# by the standoff if that is less: behind the wall there may be less space than a standoff.
 CLEAR = 0.1
-# Bound on the relative rounding error of a determinant of three differences of points, by the sum
-# of its terms' magnitudes: nine roundings a term, and some to spare.
-DETERMINANT = 16.0 * 1.2e-16
 
 
 class Part(NamedTuple):
-    """Some triangles of a surface, as far as `cover` looks at one."""
+    """Some triangles of a surface: what `cover` needs of one."""
 
     tree: Tree
     edges: NDArray[np.int8]
@@ -88,7 +79,7 @@ def way_out(
 def _guarded(
     surface: Surface, x: FloatArray, radius: float, standoff: float, turn: float, out: Planes
 ) -> Planes:
-    """The plane `out` and those of the guarded triangles, in a ball that reaches past the wall."""
+    """The plane `out` and those of the guarded triangles, in a ball that extends past the wall."""
     distance = surface.nearest(x)[0]
     radius = min(radius, 2.0 * distance + 0.1 * HOP)
     found = surface.within(x, radius + _blur(surface))
@@ -97,7 +88,7 @@ def _guarded(
     out = replace(out, radius=radius, floors=np.array([-np.inf]))
     if not len(rows):
         return out
-    part = Part(pdtree.build(surface.vertices, surface.faces[rows]), surface.edges[rows])
+    part = Part(build(surface.vertices, surface.faces[rows]), surface.edges[rows])
     for array in (*part.tree, part.edges):
         array.flags.writeable = False  # as a surface's: kernels are compiled for one kind only
     kept = min(standoff, CLEAR * float(found.distances[guarded].min()))
@@ -114,16 +105,17 @@ def _guarded(
 
 
 def leads_out(surface: Surface, x: FloatArray, y: FloatArray) -> bool:
-    """Whether the straight step from x to y (3,), x inside a closed surface, may be made.
+    """Whether the straight step from x to y (3,), x inside a closed surface, is allowed.
 
-    It passes nothing and gets no deeper, or passes one wall in one point and ends where the winding
-    number is 0. On the surface it may not end: no plane can tell the sides apart there.
+    It is if it meets no triangle and gets no deeper, or if it crosses one wall in one point and
+    ends where the winding number is 0. It may not end on the surface, where no plane separates
+    inside from outside.
     """
     clear = max(ON_SURFACE, 2.0 * touching_distance(surface))
     if surface.nearest(y)[0] < clear:
         return False
     start = surface.nearest(x)[0]
-    if start <= touching_distance(surface):  # the planes of `on_surface` have said the rest
+    if start <= touching_distance(surface):  # the planes of `on_surface` have settled the rest
         return _outside(surface, y)
     turn = _turn(surface, x)
     length = float(np.linalg.norm(y - x))
@@ -144,11 +136,11 @@ def leads_out(surface: Surface, x: FloatArray, y: FloatArray) -> bool:
 def on_surface(
     surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes | None:
-    """The planes for a tip exactly on a closed surface, where sides cannot be told at x itself.
+    """The planes for a tip exactly on a closed surface, where x is neither inside nor outside.
 
-    They are those of a point a hair outside, where the winding number is 0, relaxed so that x obeys
-    them: the tip may stay on the surface or leave it, never enter. A step stays nearer than any
-    triangle that does not touch x, so it meets none. None where no outside is found.
+    They are those of a point up to `LIFT` outside, where the winding number is 0, relaxed so that x
+    obeys them: the tip may stay on the surface or leave it, never enter. A step is shorter than the
+    distance to any triangle that does not touch x, so it meets none. None: no outside was found.
     """
     touch = touching_distance(surface)
     touching = surface.within(x, touch).triangles
@@ -157,20 +149,20 @@ def on_surface(
     normals = surface.normals[touching]
     for normal in (normals.sum(axis=0), *normals):
         size = float(np.linalg.norm(normal))
-        for side in (1.0, -1.0):
-            lifted = x + side * lift * normal / max(size, 1e-12)
+        for sign in (1.0, -1.0):
+            lifted = x + sign * lift * normal / max(size, 1e-12)
             if surface.nearest(lifted)[0] < 0.1 * lift or not _outside(surface, lifted):
                 continue
             planes = cover(surface, lifted, radius, standoff, tip_radius)
             offsets = np.minimum(planes.offsets, planes.normals @ x - surface.rounding)
             reach = max(min(planes.radius - lift, 0.5 * free), 0.0)
-            # No floors: within this ball no path meets anything that x does not touch.
+            # No floors: within this ball no path meets a triangle that x does not touch.
             return replace(planes, offsets=offsets, radius=reach, floors=None)
     return None
 
 
 def touching_distance(surface: Surface) -> float:
-    """Nearer than this to a triangle a point is on it, within rounding [m]."""
+    """A point closer to a triangle than this counts as on it: rounding allows no more [m]."""
     return 2.0 * FAINT * surface.rounding
 
 
@@ -191,12 +183,12 @@ def _blur(surface: Surface) -> float:
 
 
 def _outside(surface: Surface, x: FloatArray) -> bool:
-    """Whether the winding number around x (3,) is 0: more than not to be `Surface.inside`."""
+    """Whether the winding number around x (3,) is 0. Where it is 2, x is not inside either."""
     return abs(surface.winding(x)) < 0.5
 
 
 def _turn(surface: Surface, x: FloatArray) -> float:
-    """1 where the surface around x (3,) is wound outwards, −1 where it is turned inside out."""
+    """1 where the faces around x (3,) are wound with outward normals, −1 where with inward ones."""
     return 1.0 if surface.winding(x) > 0.0 else -1.0
 
 
@@ -215,7 +207,7 @@ def nearest_passable(surface: Surface, x: FloatArray, turn: float) -> tuple[floa
     """Distance [m], face and closest point (3,) of the nearest passable triangle; inf, −1: none."""
     tree = surface.tree
     point = np.array(x, dtype=np.float64)
-    distance, row = _nearest_inner(tree.nodes, tree.corners, point, turn)
+    distance, row = nearest_face_facing(tree.nodes, tree.corners, point, turn)
     return distance, (int(tree.order[row]) if row >= 0 else -1), point
 
 
@@ -245,96 +237,27 @@ def _volume(a: list[Fraction], b: list[Fraction], c: list[Fraction], d: list[Fra
 
 
 @njit(cache=True, nogil=True)
-def _side(ax, ay, az, bx, by, bz, cx, cy, cz, x, y, z):  # type: ignore[no-untyped-def]
-    """Sign of (b − a) × (c − a) · (x − a), 0 where rounding leaves it open.
-
-    Differences of coordinates are exact to half a unit in the last place, so what can be wrong is a
-    share of the magnitudes of the terms, wherever the origin is.
-    """
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    wx, wy, wz = x - ax, y - ay, z - az
-    volume = (uy * vz - uz * vy) * wx + (uz * vx - ux * vz) * wy + (ux * vy - uy * vx) * wz
-    magnitude = (
-        (abs(uy * vz) + abs(uz * vy)) * abs(wx)
-        + (abs(uz * vx) + abs(ux * vz)) * abs(wy)
-        + (abs(ux * vy) + abs(uy * vx)) * abs(wz)
-    )
-    error = DETERMINANT * magnitude + 1e-290  # what is lost where products underflow
-    if volume > error:
-        return 1
-    return -1 if volume < -error else 0
-
-
-@njit(cache=True, nogil=True)
-def _inner_side(c, x, y, z, turn):  # type: ignore[no-untyped-def]
-    """Whether (x, y, z) is strictly on the inner side of a triangle with corners c (9,)."""
-    return turn * _side(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], x, y, z) < 0.0
-
-
-@njit(cache=True, nogil=True)
 def _inner_sides(corners, p, turn):  # type: ignore[no-untyped-def]
     found = np.empty(corners.shape[0], dtype=np.bool_)
     for t in range(corners.shape[0]):
-        found[t] = _inner_side(corners[t], p[0], p[1], p[2], turn)
+        found[t] = inner_side(corners[t], p[0], p[1], p[2], turn)
     return found
 
 
 @njit(cache=True, nogil=True)
 def _met(corners, p, q):  # type: ignore[no-untyped-def]
-    """(k,) whether the closed segment pq meets each triangle (k, 9), or rounding leaves it open."""
+    """(k,) whether the closed segment pq meets each triangle (k, 9), or rounding may hide it."""
     met = np.empty(corners.shape[0], dtype=np.bool_)
     for t in range(corners.shape[0]):
         c = corners[t]
         ax, ay, az, bx, by, bz, cx, cy, cz = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
-        start = _side(ax, ay, az, bx, by, bz, cx, cy, cz, p[0], p[1], p[2])
-        end = _side(ax, ay, az, bx, by, bz, cx, cy, cz, q[0], q[1], q[2])
+        start = side(ax, ay, az, bx, by, bz, cx, cy, cz, p[0], p[1], p[2])
+        end = side(ax, ay, az, bx, by, bz, cx, cy, cz, q[0], q[1], q[2])
         met[t] = False
         if start * end > 0:
             continue
-        one = _side(p[0], p[1], p[2], q[0], q[1], q[2], ax, ay, az, bx, by, bz)
-        two = _side(p[0], p[1], p[2], q[0], q[1], q[2], bx, by, bz, cx, cy, cz)
-        three = _side(p[0], p[1], p[2], q[0], q[1], q[2], cx, cy, cz, ax, ay, az)
+        one = side(p[0], p[1], p[2], q[0], q[1], q[2], ax, ay, az, bx, by, bz)
+        two = side(p[0], p[1], p[2], q[0], q[1], q[2], bx, by, bz, cx, cy, cz)
+        three = side(p[0], p[1], p[2], q[0], q[1], q[2], cx, cy, cz, ax, ay, az)
         met[t] = not (min(one, two, three) < 0 < max(one, two, three))
     return met
-
-
-@njit(cache=True, nogil=True)
-def _nearest_inner(nodes, corners, p, turn):  # type: ignore[no-untyped-def]
-    """`pdtree.nearest_face` among triangles that p (3,) is on the inner side of: distance, row."""
-    x, y, z = p[0], p[1], p[2]
-    waiting = np.empty((STACK, 2))  # node and squared distance of its box
-    best = np.inf
-    row = -1
-    waiting[0, 0] = waiting[0, 1] = 0.0
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        if waiting[depth, 1] > best:
-            continue
-        link = nodes[int(waiting[depth, 0]), 15]
-        if link > 0.0:
-            first, last = children_of(link)
-            bottom = depth
-            for child in range(first, last):
-                d2 = box_distance2(nodes, child, x, y, z)
-                if d2 > best:
-                    continue
-                place = depth  # the nearest on top
-                while place > bottom and waiting[place - 1, 1] < d2:
-                    waiting[place, 0] = waiting[place - 1, 0]
-                    waiting[place, 1] = waiting[place - 1, 1]
-                    place -= 1
-                waiting[place, 0] = child
-                waiting[place, 1] = d2
-                depth += 1
-            continue
-        first, last = triangles_of(link)
-        for t in range(first, last):
-            d2 = triangle_at(corners, t, x, y, z)[4]
-            if (d2 < best or (d2 == best and t < row)) and _inner_side(corners[t], x, y, z, turn):
-                best = d2
-                row = t
-    if row >= 0:
-        p[0], p[1], p[2], _feature, best = triangle_at(corners, row, x, y, z)
-    return np.sqrt(best), row

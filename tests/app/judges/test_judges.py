@@ -23,18 +23,19 @@ from app.settings import Options
 from app.studies.experiments import judge
 from app.studies.verification import campaign
 from app.view.inspector.compare import Comparison, Pose
-from vf.tree import pdtree
+from vf.tree import build as trees
+from vf.tree.pdtree import Tree
 
 LINK = 15  # column of a node's record that says where its children or triangles are
 
 
-def forget(tree: pdtree.Tree) -> None:
+def forget(tree: Tree) -> None:
     """Every leaf loses its triangles."""
     leaves = tree.nodes[:, LINK] < 0.0
     tree.nodes[leaves, LINK] += -tree.nodes[leaves, LINK] % 64.0
 
 
-def shrink(tree: pdtree.Tree) -> None:
+def shrink(tree: Tree) -> None:
     """Every leaf's box shrinks to its centre."""
     tree.nodes[tree.nodes[:, LINK] < 0.0, 3:6] = 0.0
 
@@ -42,18 +43,18 @@ def shrink(tree: pdtree.Tree) -> None:
 BREAKS = pytest.mark.parametrize("broken", [forget, shrink], ids=lambda broken: broken.__name__)
 
 
-def broken_surface(arrays: tuple, broken: Callable[[pdtree.Tree], None]) -> vf.Surface:
+def broken_surface(arrays: tuple, broken: Callable[[Tree], None]) -> vf.Surface:
     surface = vf.Surface.from_arrays(*arrays)
     surface.tree.nodes.flags.writeable = True
     broken(surface.tree)
     return surface
 
 
-def partly(broken: Callable[[pdtree.Tree], None], faces: int) -> Callable[..., pdtree.Tree]:
+def partly(broken: Callable[[Tree], None], faces: int) -> Callable[..., Tree]:
     """What builds trees, and breaks every fourth leaf of those over so many triangles."""
-    honest = pdtree.build
+    honest = trees.build
 
-    def build(vertices: np.ndarray, triangles: np.ndarray, leaf: int = pdtree.LEAF) -> pdtree.Tree:
+    def build(vertices: np.ndarray, triangles: np.ndarray, leaf: int = trees.LEAF) -> Tree:
         tree = honest(vertices, triangles, leaf)
         if len(triangles) == faces:
             worse = tree._replace(nodes=tree.nodes.copy())
@@ -70,7 +71,7 @@ def partly(broken: Callable[[pdtree.Tree], None], faces: int) -> Callable[..., p
 
 @BREAKS
 def test_the_campaign_notices_a_box_that_lost_its_triangles(
-    broken: Callable[[pdtree.Tree], None],
+    broken: Callable[[Tree], None],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -78,7 +79,7 @@ def test_the_campaign_notices_a_box_that_lost_its_triangles(
     honest = call("verify", words)
     assert honest == 0
     capsys.readouterr()
-    monkeypatch.setattr(pdtree, "build", partly(broken, len(meshes.arrays("cube")[1])))
+    monkeypatch.setattr("vf.surface.build", partly(broken, len(meshes.arrays("cube")[1])))
     assert call("verify", words) == 1
     out = capsys.readouterr().out
     assert "cube, none: query " in out
@@ -103,7 +104,7 @@ def test_a_tick_is_judged_whatever_the_controller_calls_it(monkeypatch: pytest.M
 
 
 @BREAKS
-def test_the_oracles_do_not_look_at_the_tree(broken: Callable[[pdtree.Tree], None]) -> None:
+def test_the_oracles_do_not_look_at_the_tree(broken: Callable[[Tree], None]) -> None:
     arrays = meshes.arrays("gear")
     whole, surface = vf.Surface.from_arrays(*arrays), broken_surface(arrays, broken)
     rng = np.random.default_rng(1)
@@ -137,7 +138,7 @@ def test_the_oracles_do_not_look_at_the_tree(broken: Callable[[pdtree.Tree], Non
 
 
 def test_the_judge_of_the_experiments_has_no_tree_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pdtree, "build", None)
+    monkeypatch.setattr(trees, "_build", None)
     vertices, faces = meshes.arrays("cube")
     top = vertices[:, 2].max()
     way = np.array([[1e-3, 2e-3, top + 1e-3], [1e-3, 2e-3, top - 1e-3]])

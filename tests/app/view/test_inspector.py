@@ -74,7 +74,7 @@ def test_each_case_has_the_conditions_of_the_paper(name):
     expected = SHOWN[name]
     plain = tuple("inactive" if f == "certified only" else f for f in found)
     assert plain == expected
-    assert (expected[0] == "inactive") == (explanation.of(0).verdict not in vf.rules.reasons.MET)
+    assert (expected[0] == "inactive") == (explanation.of(0).verdict not in vf.reasons.MET)
     for condition in ("Condition 1", "Condition 2", "Condition 3"):
         assert (condition in case.expect) == (condition in expected)
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import vf
 from tests.support import naive
 from tests.support.everyday import everyday
-from vf.rules import certified
 from vf.rules.certified import BUDGET, YIELD
+from vf.rules.queue import pop, push
 
 UM = 1e-6
 
@@ -364,12 +364,12 @@ def test_the_queue_gives_the_nearest_first_whatever_comes_and_goes():
         growing = turn % 1000 < 500
         if size == 0 or (size < 500 and rng.random() < (0.7 if growing else 0.3)):
             key = float(rng.integers(50))
-            certified._push(queue, size, key, turn, float(turn))
+            push(queue, size, key, turn, float(turn))
             heapq.heappush(expected, (key, turn))
             size += 1
         else:
             key, item = float(queue[0, 0]), int(queue[0, 1])
-            certified._pop(queue, size)
+            pop(queue, size)
             size -= 1
             assert key == expected[0][0]
             expected.remove((key, item))

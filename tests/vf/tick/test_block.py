@@ -10,7 +10,8 @@ import robots
 import vf
 from vf import layout
 from vf.planes import planes_of, write_records
-from vf.tick.block import Block, Search
+from vf.rules.search import Search
+from vf.tick.block import Block
 
 
 def spans(groups: dict[str, list[tuple[str, int, int]]]) -> None:

@@ -11,7 +11,8 @@ import trimesh
 import vf
 from tests.support import naive
 from vf.tree import pdtree
-from vf.tree.pdtree import PATIENCE, UNFINISHED
+from vf.tree.build import LEAF
+from vf.tree.nearest import PATIENCE, UNFINISHED, nearest_face
 
 
 def _soups() -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -94,7 +95,7 @@ def check_tree(surface: vf.Surface) -> None:
     leaves = [node for node, own in enumerate(children) if not own]
     assert triangles[0].tolist() == [0, m]
     assert (count >= 1).all()
-    assert (count[leaves] <= pdtree.LEAF).all()
+    assert (count[leaves] <= LEAF).all()
     covered = np.zeros(m, dtype=int)
     for leaf in leaves:
         covered[first[leaf] : first[leaf] + count[leaf]] += 1
@@ -175,7 +176,7 @@ def test_a_walk_that_takes_long_ends_with_the_same_answer():
     surface = vf.Surface.from_arrays(ball.vertices, ball.faces)
     x = np.zeros(3)
     nodes, corners, _order, _errors = surface.tree
-    assert pdtree.nearest_face(nodes, corners, x, np.inf, -1, PATIENCE)[1] == UNFINISHED
+    assert nearest_face(nodes, corners, x, np.inf, -1, PATIENCE)[1] == UNFINISHED
     assert (x == 0.0).all()
     distance, triangle, point = surface.nearest(x)
     exact = ball.triangles_center[triangle] @ ball.face_normals[triangle]

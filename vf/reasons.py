@@ -1,7 +1,7 @@
 """Why each triangle near the tool gave a plane, or was passed over: by both rules, in numbers.
 
-Nothing here steers anything. It walks the conditions a second time, triangle by triangle and
-apart from the kernels that choose the planes, and keeps what they throw away: the reasons.
+Nothing here affects the control. The conditions are evaluated a second time, triangle by triangle
+and independent of the kernels that choose the planes, and the reasons are kept.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vf.adjacency import Edge
 from vf.fixtures import MeshFixture
 from vf.planes import FloatArray, IntArray, Planes, Rule, checked_length, checked_point
 from vf.rules.paper import SAME
-from vf.surface import Edge, Surface
+from vf.surface import Surface
 from vf.tree.closest import Feature, closest_on_triangle, closest_point
 
 

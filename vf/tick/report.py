@@ -1,0 +1,64 @@
+"""The report of a tick: what it did, for its caller."""
+
+from __future__ import annotations
+
+import numba
+
+from vf import layout as at
+from vf.kernels import floats_at, integers_at, njit, now
+from vf.qp.solver import Solver
+from vf.status import Status
+from vf.tick.haptics import master_force
+
+# A deficit below this share of the standoff is rounding and not reported as RECOVERING.
+NEGLIGIBLE = 0.1
+INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
+IS_SOLVED, IS_SHORTENED, IS_HELD = int(Status.SOLVED), int(Status.SHORTENED), int(Status.HELD)
+IS_RECOVERING, IS_INSIDE = int(Status.RECOVERING), int(Status.INSIDE)
+
+
+@njit(cache=True)
+def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[no-untyped-def]
+    """Write the report; x (3,) is where the tip ends. Returns the number of planes."""
+    n = words[at.JOINTS]
+    report = numba.carray(floats_at(words[at.REPORT]), (at.HEAD + 2 * n,))
+    if words[at.INSIDE] > 0:
+        status = IS_INSIDE
+    elif numbers[at.SHARE] == 0.0 or words[at.FOUND_BY] == INFEASIBLE:
+        status = IS_HELD
+    elif numbers[at.DEFICIT] > NEGLIGIBLE * numbers[at.STANDOFF]:
+        status = IS_RECOVERING
+    elif numbers[at.SHARE] < 1.0:
+        status = IS_SHORTENED
+    else:
+        status = IS_SOLVED
+    report[at.REPORT_STATUS] = status
+    report[at.REPORT_SOLVER] = words[at.FOUND_BY]
+    report[at.REPORT_RADIUS] = numbers[at.RADIUS]
+    report[at.REPORT_ALLOWED] = numbers[at.ALLOWED]
+    report[at.REPORT_DISTANCE] = numbers[at.DISTANCE]
+    master_force(
+        tip[:, 3], goal[:3, 3], numbers[at.GAIN], numbers[at.CAP], report[at.REPORT_FORCE :]
+    )
+    for i in range(3):
+        for k in range(4):
+            report[at.REPORT_TIP + 4 * i + k] = tip[i, k]
+    for j in range(n):
+        value = table[at.TRIAL, j]
+        report[at.HEAD + j] = value
+        report[at.HEAD + n + j] = 0.0
+        if value >= table[at.HIGHEST, j]:
+            report[at.HEAD + n + j] = 1.0
+        elif value <= table[at.LOWEST, j]:
+            report[at.HEAD + n + j] = -1.0
+    # A checked step does not change sides: at its end the side is known without a look-up.
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+    sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
+    for f in range(words[at.FIXTURES]):
+        if searches[f, at.KEEPS] > 0 and sides[f, at.WITHIN] == 0.0:
+            for k in range(3):
+                sides[f, at.SEEN + k] = x[k]
+    numbers[at.MARKS + 3] = now()
+    for k in range(4):
+        report[at.REPORT_MARKS + k] = numbers[at.MARKS + k]
+    return words[at.COUNT]
