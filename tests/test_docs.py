@@ -165,7 +165,10 @@ MORE = {
         "types",
         "warnings",
     },
-    "tick/tick": {"numba"},  # arrays in one block of memory
+    "tick/attempts": {"numba"},  # arrays in one block of memory
+    "tick/report": {"numba"},
+    "tick/search": {"numba"},
+    "tick/tick": {"numba"},
     "qp/active_set": {"numba"},
 }
 
