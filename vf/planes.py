@@ -31,6 +31,16 @@ def checked_point(x: ArrayLike) -> FloatArray:
     return p
 
 
+def checked_ends(x: ArrayLike) -> FloatArray:
+    """x as (3,) or, for the ends of an axis, (2, 3) float64; ValueError as `checked_point`."""
+    p = np.asarray(x, dtype=np.float64)
+    if p.shape == (2, 3):
+        for end in p:
+            checked_point(end)
+        return p
+    return checked_point(p)
+
+
 def checked_length(name: str, value: float, positive: bool = False) -> float:
     """A length [m] as a float; ValueError unless it is ≥ 0 (or > 0) and at most `LARGEST`.
 

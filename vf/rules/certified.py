@@ -9,6 +9,13 @@ point of the mesh in C would be in the ball and strictly behind some plane: a co
 For a tip of radius ρ read "within ρ of the segment" for "touches": the ball searched has radius
 r + ρ and "behind" is judged against o − ρ.
 
+For a capsule of radius ρ with axis [a, b] the planes have n·a ≥ o and n·b ≥ o, what is searched is
+all within r + ρ of the axis, and a step takes both ends to where they obey the planes, neither
+farther than r. While they move straight no mesh point comes within ρ of the axis: an axis point w
+is on the way a mean of a, b and their ends, so n·w ≥ o, and within r of [a, b]; a mesh point within
+ρ of w would be in front of every o − ρ and within r + ρ of [a, b]: a contradiction. ∎ A tip is the
+case a = b.
+
 In floating point: n·z of a point with coordinates up to M is known to within `ROUND`·M. Whatever
 counts as behind a plane is behind it by more than that, a plane stands in front of what is behind
 it by several times that, and the ball searched is larger by what a distance can be wrong.
@@ -26,20 +33,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from vf import layout as at
 from vf.kernels import bits_as_float, float_as_bits, njit
-from vf.planes import ROUND, FloatArray, Planes, checked_length, checked_point, planes_of
+from vf.planes import ROUND, FloatArray, Planes, checked_ends, checked_length, planes_of
 from vf.rules.behind import box_behind, less_of_bumps, rounding_of, since, triangle_behind
-from vf.rules.clip import closest_on_polygon, polygon_within, remainder
+from vf.rules.clip import remainder
 from vf.rules.queue import pop, push
 from vf.rules.separate import separate
 from vf.surface import Surface
-from vf.tree.pdtree import (
-    EXACT,
-    Tree,
-    box_distance2,
-    children_of,
-    triangle_distance2,
-    triangles_of,
+from vf.tree.axis import (
+    box_gap2,
+    largest_coordinate,
+    lowest,
+    polygon_foot,
+    polygon_within,
+    triangle_gap2,
 )
+from vf.tree.pdtree import EXACT, Tree, children_of, triangles_of
 
 BUDGET = 64  # planes that a walk may choose; masks have one bit for each
 # On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
@@ -78,19 +86,20 @@ def certified_planes(
 
     Args:
         surface: any triangle soup.
-        x: (3,) centre of the tool tip [m].
-        radius: of the motion sphere: how far a step may go [m].
+        x: (3,) centre of the tool tip, or (2, 3) start and end of a capsule's axis [m].
+        radius: of the motion sphere: how far a step may go, each end of an axis [m].
         standoff: how far the planes are moved from the mesh towards x, at most up to x [m].
-        tip_radius: of the spherical cutter around x [m].
+        tip_radius: of the spherical cutter around x, or of the capsule [m].
 
     Returns:
-        Planes with n·x ≥ o. `radius` is smaller than asked for where the budget of 64 planes was
-        spent, and 0 where x lies on a triangle within rounding; the claim then holds for that ball.
+        Planes with n·x ≥ o, for both ends of an axis. `radius` is smaller than asked for where the
+        budget of 64 planes was spent, and 0 where x lies on a triangle within rounding, or an axis
+        meets one; the claim then holds for that ball.
 
     Raises:
         ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`).
     """
-    p = checked_point(x)
+    p = checked_ends(x)
     radius = checked_length("radius", radius)
     standoff = checked_length("standoff", standoff)
     tip_radius = checked_length("tip radius", tip_radius)
@@ -114,22 +123,24 @@ def cover(
     tree = surface.tree
     m, reach = walk_alone(
         tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
-        x, radius, standoff, tip_radius, EASE, planes,
+        tuple(x.ravel().tolist()), radius, standoff, tip_radius, EASE, planes,
     )  # fmt: skip
     return planes_of(planes[:m], reach)
 
 
 @njit(cache=True, nogil=True)
 def walk(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
     planes, first, queue, polygons,
 ):  # fmt: skip
-    """Planes for a tip at p (3,), from row `first` on: their number and the radius they hold in.
+    """Planes from row `first` on: their number and the radius they hold in.
 
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
-        walls: triangles (a, b, b) stand for walls through a and b along z, and p[2] is 0.
+        walls: triangles (a, b, b) stand for walls through a and b along z, and the tip's z is 0.
+        ends: three numbers, the centre of the tip, or six, start and end of a capsule's axis [m].
+        tip_radius: of the tip, or of the capsule [m].
         ease: `EASE`, or less.
         planes: (k, PLANE) written; at most `BUDGET` of them.
         queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
@@ -138,8 +149,7 @@ def walk(  # type: ignore[no-untyped-def]
     budget = min(planes.shape[0] - first, BUDGET)
     planes = planes[first:]
     polygon, spare = polygons[0], polygons[1]
-    x, y, z = p[0], p[1], p[2]
-    near = ROUND * (max(abs(x), abs(y), abs(z)) + radius + tip_radius)
+    near = ROUND * (largest_coordinate(ends) + radius + tip_radius)
     # A computed distance to a box, or to a triangle but a sliver, is too large by at most this.
     blur = EXACT + near
     reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
@@ -157,7 +167,7 @@ def walk(  # type: ignore[no-untyped-def]
     deepest = tip_radius
     nearest = 0.0  # space between the tip and the nearest triangle
     # The nearest child of the node just opened is often the next item: it is kept out of the queue.
-    next2 = box_distance2(nodes, 0, x, y, z)
+    next2 = box_gap2(nodes, 0, ends)
     next_item = 0
     next_mask = 0
     while True:
@@ -190,7 +200,7 @@ def walk(  # type: ignore[no-untyped-def]
                 break
             for entry in range(first, last):
                 if link > 0.0:
-                    e2 = box_distance2(nodes, entry, x, y, z)
+                    e2 = box_gap2(nodes, entry, ends)
                     if e2 > reach2:
                         continue
                     hidden, cut = box_behind(
@@ -202,9 +212,7 @@ def walk(  # type: ignore[no-untyped-def]
                     hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
                     if hidden:
                         continue
-                    e2 = triangle_distance2(corners, entry, x, y, z)
-                    if slivers[entry] > 0.0:
-                        e2 = max(np.sqrt(e2) - slivers[entry], 0.0) ** 2
+                    e2 = triangle_gap2(corners, entry, slivers, ends)
                 # Rounding may put a child nearer than its parent: keys must not decrease.
                 e2 = max(e2, d2)
                 if e2 > reach2:
@@ -230,17 +238,17 @@ def walk(  # type: ignore[no-untyped-def]
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
-        px, py, pz, rest2 = closest_on_polygon(rest, corners_left, x, y, z)
-        if rest2 > reach2 and not polygon_within(rest, corners_left, x, y, z, reach):
+        foot = polygon_foot(rest, corners_left, ends)
+        if foot[6] > reach2 and not polygon_within(rest, corners_left, foot, ends, reach):
             continue
         if m == budget:
             valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = separate(
-            corners, order, edges, walls, t, rest, corners_left, px, py, pz, rest2, rounding,
-            tip_radius, x, y, z, planes, m,
+            corners, order, edges, walls, t, rest, corners_left, foot, rounding, tip_radius, ends,
+            planes, m,
         )  # fmt: skip
-        room = nx * x + ny * y + nz * z
+        room = lowest(nx, ny, nz, ends)
         clear = room - base
         faint = FAINT * rounding
         if not clear > faint:
@@ -287,10 +295,10 @@ def walk(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def walk_alone(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease, planes
+    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease, planes
 ):  # fmt: skip
     """`walk` with its own working memory, for a single call from Python."""
     return walk(
-        nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+        nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
         planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
     )  # fmt: skip

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from vf import layout as at
 from vf.kernels import lowest_bit, njit
-from vf.tree.closest import closest_on_triangle, distance_error
 
 
 @njit(cache=True, nogil=True)
@@ -56,43 +53,3 @@ def remainder(corners, t, planes, less, rounding, mask, polygon, spare):  # type
             count = _clip(polygon, spare, count, nx, ny, nz, limit)
         swapped = not swapped
     return count, swapped
-
-
-@njit(cache=True, nogil=True)
-def closest_on_polygon(polygon, count, x, y, z):  # type: ignore[no-untyped-def]
-    """Closest point of a convex polygon (any corner count from 1) and its squared distance."""
-    bx = by = bz = 0.0
-    best = np.inf
-    for i in range(1, max(count - 1, 2)):
-        j = min(i, count - 1)
-        k = min(i + 1, count - 1)
-        px, py, pz, _f, d2 = closest_on_triangle(
-            polygon[0, 0],
-            polygon[0, 1],
-            polygon[0, 2],
-            polygon[j, 0],
-            polygon[j, 1],
-            polygon[j, 2],
-            polygon[k, 0],
-            polygon[k, 1],
-            polygon[k, 2],
-            x,
-            y,
-            z,
-        )
-        if d2 < best:
-            best = d2
-            bx, by, bz = px, py, pz
-    return bx, by, bz, best
-
-
-@njit(cache=True, nogil=True)
-def polygon_within(polygon, count, x, y, z, reach):  # type: ignore[no-untyped-def]
-    """Whether a convex polygon may come within `reach`, by a lower bound on its distance."""
-    for i in range(1, max(count - 1, 2)):
-        a, b, c = polygon[0], polygon[min(i, count - 1)], polygon[min(i + 1, count - 1)]
-        d2 = closest_on_triangle(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], x, y, z)[4]
-        error = distance_error(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-        if np.sqrt(d2) - error <= reach:
-            return True
-    return False

@@ -217,11 +217,9 @@ def between(  # type: ignore[no-untyped-def]
         m = 1
         valid = min(radius, max(-room, 0.0) + width)
     else:
-        flat = np.zeros(3)
-        flat[0], flat[1] = x, y
         m, valid = walk(
-            nodes, corners, order, slivers, edges, True, flat, radius, standoff, tip_radius, 0.0,
-            planes, first, queue, polygons,
+            nodes, corners, order, slivers, edges, True, (x, y, 0.0), radius, standoff, tip_radius,
+            0.0, planes, first, queue, polygons,
         )  # fmt: skip
     for i in range(first, first + m):
         plane = planes[i]

@@ -5,6 +5,9 @@ base outwards, and a last one for the tip. A row says where its frame stands in 
 before it, whose joint has moved (`ROTATION`, row by row, and `TRANSLATION` [m]), whether its joint
 turns or slides (`REVOLUTE`: 1 or 0) and which entry of the joint vector moves it (`JOINT`). Every
 joint moves about or along the z axis of its frame: other axes are turned there beforehand.
+
+A point that moves with the arm is an anchor (4,): how many joints of the chain move it (0: it
+stands still), and where it is [m] in the frame of the last of them.
 """
 
 from __future__ import annotations

@@ -70,8 +70,8 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
             edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
             if search[at.KIND] == at.MESH:
                 found, valid = walk(
-                    nodes, corners, order, slivers, edges, False, x, radius, standoff, tip_radius,
-                    EASE, planes, m, queue, polygons,
+                    nodes, corners, order, slivers, edges, False, (x[0], x[1], x[2]), radius,
+                    standoff, tip_radius, EASE, planes, m, queue, polygons,
                 )  # fmt: skip
             else:
                 walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
