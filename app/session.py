@@ -20,7 +20,7 @@ from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
-from app.control.process import Child, ControlProcess
+from app.control.process.parent import Child, ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.page import PageMaster, checked_pose
 from app.kinds import Number
@@ -107,7 +107,11 @@ class Session:
             self._writer = OrderWriter(orders, self._loop.orders)
 
     def __enter__(self) -> Session:
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(self, *_error: object) -> None:

@@ -50,7 +50,7 @@ def run(
         say("opening the browser")
         browser = stack.enter_context(Watcher(page.url))
         say(f"{options.minutes:g} min of autopilot, a client anew every {options.reconnect:g} s")
-        first, began = tap.count, time.perf_counter()
+        began = time.perf_counter()
         visits, samples = 1, []
         sample = max(seconds / SAMPLES, 1.0)
         whole = False
@@ -66,7 +66,8 @@ def run(
         except KeyboardInterrupt:
             if not samples:
                 raise
-        ticks = summary(tap.since(first), time.perf_counter() - began, options.rate)
+        ended = time.perf_counter()
+        ticks = summary(tap.between(began, ended), ended - began, options.rate)
     return {
         "what": "vf-sandbox bench soak",
         "machine": about,

@@ -13,12 +13,11 @@ import time
 from collections.abc import Callable
 
 import vf
-from app.control.clock import Clock
+from app.control.clock import Clock, Timing
 from app.control.engine import Engine, Orders, State
 from app.control.host import Host
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
-from app.control.wire import Timing
 from app.devices import protocols
 from app.refused import Refused
 

@@ -19,15 +19,15 @@ from collections.abc import Callable
 from typing import Any
 
 import vf
-from app.control import surfaces, wire
-from app.control.channel import Channel
-from app.control.clock import Clock
+from app.control.clock import SKIPPED, TICKED, Clock
 from app.control.engine import Orders, Plant, State
 from app.control.host import Host
 from app.control.mailbox import Mailbox
 from app.control.messages import LoopStats, Telemetry
 from app.control.plant import describe
-from app.control.shared import ROOM, Memory, Queue, Slot
+from app.control.process import surfaces, wire
+from app.control.process.channel import Channel
+from app.control.process.shared import ROOM, Memory, Queue, Slot
 from app.recording.capture import Tape
 from app.refused import Refused
 
@@ -62,7 +62,7 @@ class Child:
             # Outside the terminal's process group: Ctrl-C goes to the page's process alone.
             self.process = subprocess.Popen(
                 [
-                    sys.executable, "-m", "app.control.child",
+                    sys.executable, "-m", "app.control.process.child",
                     str(theirs.fileno()), str(memory.fd),
                 ],
                 stdin=subprocess.DEVNULL,
@@ -193,6 +193,7 @@ class ControlProcess(Host):
         self._slot = Slot(child.memory.data[: Slot.SIZE])
         self._queue = Queue(child.memory.data[Slot.SIZE :])
         self._dt = dt
+        self._listener = wire.Listener(dt)
         self._watch, self._missed = watch, missed
         self.clock = Clock(dt)
         self._changed = threading.Condition()  # something came from the process
@@ -336,7 +337,8 @@ class ControlProcess(Host):
         found = self._queue.newest()
         if found is None or found[0] == number:
             return None
-        return found[0], wire.unpack(found[1], self.clock.stats, self._dt, None).telemetry
+        told = wire.Listener(self._dt).told(found[1], self.clock.stats, None)
+        return found[0], told.telemetry
 
     def _run(self) -> None:
         """Read messages and ticks until the process ends."""
@@ -386,7 +388,7 @@ class ControlProcess(Host):
             for number, message in self._queue.take():
                 lost = number - self._taken - 1
                 before = self._state.step if lost == 0 else None
-                told = wire.unpack(message, self.clock.stats, self._dt, before)
+                told = self._listener.told(message, self.clock.stats, before)
                 self._taken = number
                 tape = self._tape
                 if lost > 0:
@@ -394,9 +396,9 @@ class ControlProcess(Host):
                     if tape is not None:
                         tape.lose()
                 what, status, overrun, started, late, spent = told.timing
-                if what == wire.TICKED:
+                if what == TICKED:
                     self.clock.record(vf.Status(status), started, late, spent, overrun)
-                elif what == wire.SKIPPED:
+                elif what == SKIPPED:
                     self.clock.skip(started)
                 orders = self._orders_of(told.order)
                 if tape is not None:

@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.control import process as processes
-from app.control import shared
-from app.control.child import HOLD_ALONE
+from app.control.process import parent as processes
+from app.control.process import shared
+from app.control.process.child import HOLD_ALONE
 from app.recording import rerun
 from app.recording.read import read
 from app.refused import Refused
@@ -28,7 +28,7 @@ from tests.support.controls import controls_of, gone
 from tests.support.headless import moved, wait_until
 
 CUBE = Options(mesh="cube", robot="point")
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture(autouse=True)
