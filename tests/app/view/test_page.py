@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import vf
 from app.recording.playback import Moment
 from app.refused import Refused
 from app.scene import worker
@@ -117,6 +118,13 @@ def test_the_colours_of_the_rules_are_distinct(kind: str) -> None:
             seen(palette.LOOKS[a].color, kind) - seen(palette.LOOKS[b].color, kind)
         )
         assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 is just noticeable
+
+
+def test_every_rule_status_and_outcome_of_the_solver_has_its_words() -> None:
+    assert set(palette.RULE_HELP) == set(vf.RULES)
+    assert set(palette.LOOKS) == set(vf.Rule)
+    assert set(palette.STATUS_HELP) == set(vf.Status)
+    assert set(palette.SOLVER_HELP) == set(vf.Solver)
 
 
 def test_the_page_calls_every_part() -> None:
