@@ -22,6 +22,7 @@ from app.bench.tools.machine import machine, percentiles, proportional, scheduli
 from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
+from app.control.priority import raise_process_priority
 from app.recording.playback import Player, build_scenes
 from app.recording.read import read
 from app.refused import Refused
@@ -84,6 +85,7 @@ def run(
         ValueError: an unusable mesh or setting.
     """
     about = machine()
+    raise_process_priority()
     with ExitStack() as stack:
         path, unit, name = _mesh(options, stack, say)
         wanted = Options(

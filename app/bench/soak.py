@@ -16,6 +16,7 @@ from app.bench.loop import Tap, summary
 from app.bench.tools.machine import machine, proportional
 from app.bench.tools.settings import Soak
 from app.bench.tools.watcher import Watcher
+from app.control.priority import raise_process_priority
 from app.session import Session
 from app.settings import Options
 from app.view import guard
@@ -37,6 +38,7 @@ def run(
         ValueError: an unusable mesh.
     """
     about = machine()
+    raise_process_priority()
     seconds = 60.0 * options.minutes
     with ExitStack() as stack:
         wanted = Options(mesh=options.mesh, rate=options.rate, port=0)

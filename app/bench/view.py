@@ -92,11 +92,13 @@ def run(
     """
     from app.bench.loop import Tap, summary
     from app.bench.tools.machine import machine, percentiles
+    from app.control.priority import raise_process_priority
     from app.session import Session
     from app.settings import Options
     from app.view.page import Page
 
     about = machine()
+    raise_process_priority()
     with ExitStack() as stack:
         wanted = Options(mesh=options.mesh, rate=options.rate, port=0)
         session = Session(wanted, progress=say, process=True)

@@ -26,11 +26,11 @@ import robots
 import vf
 from app.control.clock import Timing
 from app.control.engine import Orders, Plant, State
-from app.control.loop import BUILD_PRIORITY, ControlLoop, raise_process_priority
-from app.control.loop import raise_thread_priority as raise_priority
+from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Command, Telemetry
 from app.control.plant import assemble
+from app.control.priority import BUILD_PRIORITY, raise_process_priority, raise_thread_priority
 from app.control.process import surfaces, wire
 from app.control.process.channel import Channel
 from app.control.process.gaps import Gaps
@@ -194,7 +194,7 @@ def _main(channel: int, memory: int) -> int:
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     raise_process_priority()
-    raise_priority(BUILD_PRIORITY)
+    raise_thread_priority(BUILD_PRIORITY)
     child = Child(Channel(socket.socket(fileno=channel)), Memory(memory, write=True))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the page's process says when to end
     signal.signal(signal.SIGTERM, child.stop)
