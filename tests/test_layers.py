@@ -124,3 +124,9 @@ def test_a_folder_has_a_dozen_modules_at_most(package: str) -> None:
     for folder in {path.parent for path in (ROOT / package).rglob("*.py")}:
         modules = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
         assert len(modules) <= 12, folder
+
+
+@pytest.mark.parametrize("package", ["app", "meshes", "robots"])
+def test_a_module_has_400_lines_at_most(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        assert len(path.read_text("utf-8").splitlines()) <= 400, path
