@@ -24,6 +24,7 @@ from vf.selftest import check_kernels
 from vf.status import Status
 from vf.surface import Surface
 from vf.tick.block import Block
+from vf.tick.bodies import instrument, tip_alone
 from vf.tick.step import Step, Timings, numbers_of, tip_of
 from vf.tick.tick import tick
 from vf.tree.nearest import nearest_face_freely
@@ -52,9 +53,13 @@ class Settings:
         tip_speed: a tick moves the tip by tip_speed × dt at most [m/s]; inf: only the joints' own
             speed limits count.
         solver: one of `vf.SOLVERS`, for what the exact shortcuts do not settle.
+        guard: "tip", or "tool": every capsule of the arm's instrument (`arm.capsules`) too, against
+            the meshes whose rule is "certified". Other rules and corridors hold the tip only.
+        trocar: with guard "tool", the mesh is exempt for the shaft in a ball of this radius around
+            the remote centre, where it enters [m]; 0: nowhere. A radius up to the shaft's is none.
 
     Raises:
-        ValueError: a value that is no number or out of its range, or an unknown solver.
+        ValueError: a value that is no number or out of its range, or an unknown solver or guard.
     """
 
     dt: float = 1e-3
@@ -66,9 +71,13 @@ class Settings:
     force_cap: float = 4.0
     tip_speed: float = inf
     solver: str = "osqp"
+    guard: str = "tip"
+    trocar: float = 0.0
 
     def __post_init__(self) -> None:
         check_solver(self.solver)
+        if self.guard not in GUARDS:
+            raise ValueError(f"unknown guard {self.guard!r}: choose one of {', '.join(GUARDS)}")
         for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
             try:
@@ -83,6 +92,7 @@ class Settings:
             object.__setattr__(self, name, number)
 
 
+GUARDS = ("tip", "tool")
 # Lowest and highest value and the unit of each of the `Settings` that is a number.
 RANGES = {
     "dt": (1e-6, 10.0, " s"),
@@ -93,6 +103,7 @@ RANGES = {
     "force_gain": (0.0, 1e6, " N/m"),
     "force_cap": (0.0, 1e6, " N"),
     "tip_speed": (1e-9, inf, " m/s"),
+    "trocar": (0.0, 1.0, " m"),
 }
 
 
@@ -100,7 +111,8 @@ class Kinematics(Protocol):
     """What the controller needs of an arm; `robots.Arm` has it.
 
     An arm with an attribute `chain` (see `vf.tick.chain`) is not asked for its kinematics: the tick
-    computes them itself.
+    computes them itself. One with `capsules` and their `anchors` besides, as `robots.Arm` has, can
+    be guarded as a whole; of any other that is the tip.
     """
 
     @property
@@ -121,7 +133,8 @@ class Controller:
     solver workspaces, and its arm's).
 
     Raises:
-        ValueError: limits of the arm that are no numbers, or out of range.
+        ValueError: limits of the arm that are no numbers, or out of range; guard "tool" with an arm
+            that has capsules but no chain.
         RuntimeError: a kernel gives a wrong answer on this machine, see `warm_up`.
     """
 
@@ -137,9 +150,13 @@ class Controller:
         n = len(arm.lower)
         self._shape = (n,)
         chain = getattr(arm, "chain", None)
-        block = self._block = Block(
-            n, chain, [getattr(fixture, "search", None) for fixture in self.fixtures]
-        )
+        searches = [getattr(fixture, "search", None) for fixture in self.fixtures]
+        parts = tip_alone(s.tip_radius)
+        if s.guard == "tool":
+            meshes = any(search is not None and search.kind == at.MESH for search in searches)
+            middle = 0.5 * (np.asarray(arm.lower) + np.asarray(arm.upper))
+            parts = instrument(arm, s.tip_radius, s.trocar, middle, meshes)
+        block = self._block = Block(n, chain, searches, parts)
         for f, fixture in enumerate(self.fixtures):
             block.searches[f, at.KEEPS] = fixture.certified
         table, numbers = block.table, block.numbers

@@ -27,7 +27,7 @@ JOINTS = 0  # n
 ROOM = 1  # planes there is room for
 LINKS = 2  # rows of the chain; 0: the arm computes its kinematics in Python
 FIXTURES = 3
-POINTS = 4  # guarded points
+POINTS = 4  # guarded points: the tip, and the ends of the bodies' axes
 # … the state of a tick …
 STAGE = 5  # see `WHOLE`
 TRIES = 6  # in this stage
@@ -37,6 +37,8 @@ SOLVER = 9  # a `vf.Solver`: of the last problem …
 FOUND_BY = 10  # … and of the optimum
 INSIDE = 11  # 1: the tip is inside of something
 ANSWER = 12  # Python's answer to a question: a `vf.Solver`, or 1 for yes
+BODIES = 13  # how many bodies are guarded beside the tip
+STUCK = 14  # 1: the axis of a body meets the mesh
 # … and the addresses of its parts.
 CHAIN = 16  # (LINKS, chain.LINK)
 AXES = 17  # (LINKS, 6) of the joints
@@ -66,7 +68,9 @@ POLYGONS = 40  # (2, certified.CORNERS, 3) of the walk
 SEARCHES = 41  # (FIXTURES, SEARCH) integers: what each fixture is and where
 SIDES = 42  # (FIXTURES, SIDE) numbers of each fixture
 REPORT = 43  # (HEAD + 2 n,) see below
-WORDS = 44
+GUARDS = 44  # (POINTS, GUARD) numbers of each guarded point
+BODY_TABLE = 45  # (BODIES, BODY) integers: what is guarded beside the tip
+WORDS = 46
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -126,6 +130,21 @@ SEARCH = 12
 SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none
 WITHIN = 3  # 1: inside there, 0: outside
 SIDE = 4
+
+# Numbers of a guarded point.
+ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`
+THICKNESS = 4  # radius of what is around it [m]
+STEP_RADIUS = 5  # how far it can go in a tick [m]
+BALL = 6  # ball searched around it [m]
+PATH_LIMIT = 7  # its path must stay within this distance of its start [m]
+STEP_LIMIT = 8  # its longest step [m]
+TWIN = 9  # 1: the end of an axis, whose planes the point before it has too
+GUARD = 10
+
+# What a body is: the points at the start and the end of its axis (equal for a ball), the number of
+# its capsule, and the point at the centre of its trocar zone, −1: there is none.
+FIRST, SECOND, NUMBER, CENTRE = 0, 1, 2, 3
+BODY = 4
 
 # REPORT: results of a tick. Behind HEAD: joint positions (n,), limits (n,), then the planes.
 REPORT_STATUS, REPORT_SOLVER, REPORT_RADIUS, REPORT_ALLOWED, REPORT_DISTANCE = 0, 1, 2, 3, 4

@@ -38,7 +38,7 @@ def checked_ends(x: ArrayLike) -> FloatArray:
         for end in p:
             checked_point(end)
         return p
-    return checked_point(p)
+    return checked_point(x)
 
 
 def checked_length(name: str, value: float, positive: bool = False) -> float:
@@ -72,6 +72,8 @@ class Rule(IntEnum):
 @dataclass(frozen=True)
 class Planes:
     """Half-spaces n·y ≥ o on the centre y of the tool tip, in the frame of the mesh.
+
+    A plane of a capsule holds for both ends of its axis.
 
     Attributes:
         normals: (m, 3) unit vectors to the allowed side.

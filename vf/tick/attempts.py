@@ -92,7 +92,7 @@ def bisect(words, numbers, table, start, jacobians, bulges):  # type: ignore[no-
 
 @njit(cache=True)
 def next_attempt(  # type: ignore[no-untyped-def]
-    words, numbers, table, planes, places, trials, jacobians, bulges, scratch, multipliers,
+    words, numbers, table, planes, places, trials, jacobians, guards, bulges, scratch, multipliers,
     allowed, start, tip,
 ):  # fmt: skip
     """Choose the next attempt, given whether the last one was allowed.
@@ -104,7 +104,7 @@ def next_attempt(  # type: ignore[no-untyped-def]
     if stage <= at.RELAXED:
         _miss(words, table, places, trials, jacobians)
         words[at.TRIES] = 0
-        if _too_far(numbers, table, places[0], trials[0], jacobians, bulges):
+        if _too_far(numbers, table, places, trials, jacobians, guards, bulges):
             words[at.STAGE] = at.SHORTER
             return at.TRIED
         return _correct(words, numbers, table, planes, scratch, multipliers)
@@ -113,7 +113,7 @@ def next_attempt(  # type: ignore[no-untyped-def]
             table[at.STEP, j] *= numbers[at.SHARE]
         words[at.TRIES] += 1
         if words[at.TRIES] < SHORTENINGS and _too_far(
-            numbers, table, places[0], trials[0], jacobians, bulges
+            numbers, table, places, trials, jacobians, guards, bulges
         ):
             return at.TRIED
         return _correct(words, numbers, table, planes, scratch, multipliers)
@@ -151,14 +151,18 @@ def _miss(words, table, places, trials, jacobians):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def _too_far(numbers, table, x, y, jacobians, bulges):  # type: ignore[no-untyped-def]
-    """If the true tip moved too far, from x to y (3,), try the share of the step that does not."""
-    d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
-    length = np.sqrt(d2)
-    if not length > numbers[at.LONGEST]:
+def _too_far(numbers, table, places, trials, jacobians, guards, bulges):  # type: ignore[no-untyped-def]
+    """If a true point moved too far, set a shorter step as the trial; whether one did."""
+    least = np.inf
+    for p in range(places.shape[0]):
+        x, y = places[p], trials[p]
+        d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
+        length = np.sqrt(d2)
+        if length > guards[p, at.STEP_LIMIT]:
+            least = min(least, (1.0 - 1e-9) * guards[p, at.STEP_LIMIT] / length)
+    if not least < np.inf:
         return False
-    share = (1.0 - 1e-9) * numbers[at.LONGEST] / length
-    set_trial(numbers, table, jacobians, at.STEP, share, bulges)
+    set_trial(numbers, table, jacobians, at.STEP, least, bulges)
     return True
 
 

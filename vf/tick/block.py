@@ -12,6 +12,7 @@ from vf.planes import FloatArray, IntArray
 from vf.qp.active_set import scratch_size
 from vf.rules.certified import BUDGET, CORNERS, HEAP
 from vf.rules.search import Search
+from vf.tick.bodies import Guarded, tip_alone
 from vf.tick.chain import LINK
 
 
@@ -25,12 +26,19 @@ class Block:
         head: bytes of REPORT.
     """
 
-    def __init__(self, n: int, chain: FloatArray | None, searches: Sequence[Search | None]) -> None:
+    def __init__(
+        self,
+        n: int,
+        chain: FloatArray | None,
+        searches: Sequence[Search | None],
+        guarded: Guarded | None = None,
+    ) -> None:
         """For n joints.
 
         Args:
             chain: of the arm, see `vf.tick.chain`; None: the arm computes its kinematics in Python.
             searches: one for each fixture; None: the fixture computes its planes in Python.
+            guarded: the tip and what is guarded beside it; None: nothing.
         """
         self.words = np.zeros(at.WORDS, dtype=np.int64)
         self.address = self.words.ctypes.data
@@ -39,10 +47,11 @@ class Block:
         self._parts: dict[int, NDArray[np.generic]] = {}
         self.n = n
         links = 0 if chain is None else len(chain)
-        points = 1  # the tip
+        guarded = guarded or tip_alone(0.0)
+        points = len(guarded.guards)
         for word, count in (
             (at.JOINTS, n), (at.LINKS, links), (at.FIXTURES, len(searches)),
-            (at.POINTS, points),
+            (at.POINTS, points), (at.BODIES, len(guarded.bodies)),
         ):  # fmt: skip
             self.words[word] = count
         self.chain = self._part(at.CHAIN, links, LINK)
@@ -65,13 +74,18 @@ class Block:
         self.sides = self._part(at.SIDES, len(searches), at.SIDE)
         self.sides[:] = np.nan
         self._searches(searches)
+        self._point(at.GUARDS, guarded.guards)
+        self._point(at.BODY_TABLE, guarded.bodies)
         self.head = 8 * (at.HEAD + 2 * n)
+        self._spare = len(searches) * BUDGET * guarded.ends
         self.reserve(max(len(searches), 1) * BUDGET)
 
     def reserve(self, rows: int) -> None:
-        """Make room for that many planes; their present content is lost."""
+        """Make room for that many planes of the tip; their present content is lost."""
+        self.room = rows
+        rows += self._spare
         n, head = self.n, self.head // 8
-        self.room = self.words[at.ROOM] = rows
+        self.words[at.ROOM] = rows
         whole = np.zeros(head + rows * at.PLANE)
         self.words[at.REPORT] = whole.ctypes.data
         self.words[at.PLANES] = whole.ctypes.data + self.head

@@ -104,6 +104,62 @@ def tip_pose(chain, q, pose, axes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def place_points(chain, q, guards, places):  # type: ignore[no-untyped-def]
+    """Positions (p, 3) of guarded points from the second on, base frame [m]; the first is the tip.
+
+    Args:
+        guards: (p, GUARD) whose first numbers are anchors.
+    """
+    r = np.eye(3)
+    moved = np.empty((3, 3))
+    o = np.zeros(3)
+    for i in range(chain.shape[0]):
+        for p in range(1, guards.shape[0]):
+            if int(guards[p, 0]) == i:
+                for k in range(3):
+                    places[p, k] = (
+                        o[k] + r[k, 0] * guards[p, 1] + r[k, 1] * guards[p, 2]
+                        + r[k, 2] * guards[p, 3]
+                    )  # fmt: skip
+        if i == chain.shape[0] - 1:
+            break
+        link = chain[i]
+        for k in range(3):
+            o[k] += r[k, 0] * link[9] + r[k, 1] * link[10] + r[k, 2] * link[11]
+        for k in range(3):
+            for c in range(3):
+                moved[k, c] = r[k, 0] * link[c] + r[k, 1] * link[3 + c] + r[k, 2] * link[6 + c]
+        value = q[int(link[JOINT])]
+        if link[REVOLUTE] > 0.0:
+            c, s = _cosine_sine(value)
+            for k in range(3):
+                r[k, 0] = moved[k, 0] * c + moved[k, 1] * s
+                r[k, 1] = moved[k, 1] * c - moved[k, 0] * s
+                r[k, 2] = moved[k, 2]
+        else:
+            for k in range(3):
+                o[k] += moved[k, 2] * value
+                for c in range(3):
+                    r[k, c] = moved[k, c]
+
+
+@njit(cache=True)
+def point_jacobian(chain, axes, joints, x, y, z, J):  # type: ignore[no-untyped-def]
+    """Linear Jacobian (3, n), written, of the point (x, y, z) that the first `joints` move."""
+    J[:] = 0.0
+    for i in range(joints):
+        j = int(chain[i, JOINT])
+        ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]
+        if chain[i, REVOLUTE] > 0.0:
+            dx, dy, dz = x - axes[i, 3], y - axes[i, 4], z - axes[i, 5]
+            J[0, j] = ay * dz - az * dy
+            J[1, j] = az * dx - ax * dz
+            J[2, j] = ax * dy - ay * dx
+        else:
+            J[0, j], J[1, j], J[2, j] = ax, ay, az
+
+
+@njit(cache=True)
 def jacobian(chain, axes, x, y, z, J):  # type: ignore[no-untyped-def]
     """Jacobian (6, n), written, of the point (x, y, z) that moves with the last joint.
 

@@ -58,7 +58,33 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
         if searches[f, at.KEEPS] > 0 and sides[f, at.WITHIN] == 0.0:
             for k in range(3):
                 sides[f, at.SEEN + k] = x[k]
+    count = words[at.COUNT]
+    if words[at.BODIES] > 0:
+        count = _without_twins(words, planes)
     numbers[at.MARKS + 3] = now()
     for k in range(4):
         report[at.REPORT_MARKS + k] = numbers[at.MARKS + k]
-    return words[at.COUNT]
+    return count
+
+
+@njit(cache=True)
+def _without_twins(words, planes):  # type: ignore[no-untyped-def]
+    """Leave each plane of an axis once, with what it pushed at both ends; their number."""
+    guards = numba.carray(floats_at(words[at.GUARDS]), (words[at.POINTS], at.GUARD))
+    kept = 0
+    run = 0  # of the last block of planes of one point
+    twins = 0
+    for i in range(words[at.COUNT]):
+        point = planes[i, at.POINT]
+        if guards[int(point), at.TWIN] > 0.0:
+            # The block before it, just as long, holds the same planes.
+            planes[kept - run + twins, at.PUSH] += planes[i, at.PUSH]
+            twins += 1
+            continue
+        if twins > 0 or kept == 0 or planes[kept - 1, at.POINT] != point:
+            run = 0
+            twins = 0
+        planes[kept] = planes[i]
+        kept += 1
+        run += 1
+    return kept

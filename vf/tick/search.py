@@ -1,4 +1,4 @@
-"""The planes of a tick: one walk through the tree of every fixture."""
+"""The planes of a tick: one walk through the tree of every fixture, for the tip and every body."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import bytes_at, floats_at, integers_at, njit
-from vf.qp.problem import farthest, room
+from vf.qp.problem import farthest, room, sagitta
 from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
@@ -101,3 +101,124 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
         standoff = least
         if not standoff > YIELD:
             return True
+
+
+@njit(cache=True)
+def search_bodies(words, numbers, planes, places, jacobians, guards, table):  # type: ignore[no-untyped-def]
+    """Add the planes of every body after those of the tip, and set how far its ends may go.
+
+    Each body has a motion sphere of its own: what its ends can do in a tick. Only meshes guard
+    bodies. A plane of an axis is written twice, for its start and, after all of these, for its end.
+
+    While the tip is inside of something, bodies that meet the mesh are left out: they have to come
+    out with it. Otherwise such a body is STUCK, and the tool holds.
+    """
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    bodies = numba.carray(integers_at(words[at.BODY_TABLE]), (words[at.BODIES], at.BODY))
+    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
+    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
+    words[at.STUCK] = 0
+    for b in range(words[at.BODIES]):
+        first, second = bodies[b, at.FIRST], bodies[b, at.SECOND]
+        _set_ball(numbers, jacobians, guards, table, first, second)
+        radius = guards[first, at.BALL]
+        start = words[at.COUNT]
+        reach = radius
+        if not _in_port(places, guards, bodies[b]):
+            standoff = numbers[at.STANDOFF]
+            thickness = guards[first, at.THICKNESS]
+            p, q = places[first], places[second]
+            while True:
+                m = start
+                reach = radius
+                close = 0
+                least = np.inf
+                for f in range(fixtures):
+                    search = searches[f]
+                    if search[at.KIND] != at.MESH:
+                        continue
+                    nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
+                    corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
+                    order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
+                    slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
+                    edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
+                    if first == second:
+                        found, valid = walk(
+                            nodes, corners, order, slivers, edges, False, (p[0], p[1], p[2]),
+                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
+                        )  # fmt: skip
+                    else:
+                        found, valid = walk(
+                            nodes, corners, order, slivers, edges, False,
+                            (p[0], p[1], p[2], q[0], q[1], q[2]),
+                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
+                        )  # fmt: skip
+                    if valid == 0.0:
+                        if words[at.INSIDE] > 0:
+                            continue
+                        words[at.STUCK] = 1
+                    space = np.inf
+                    for i in range(m, m + found):
+                        planes[i, at.FIXTURE] = f
+                        planes[i, at.CAPSULE] = bodies[b, at.NUMBER]
+                        planes[i, at.POINT] = first
+                        space = min(space, room(planes[i], p), room(planes[i], q))
+                    if space - thickness < standoff:
+                        close += 1
+                    least = min(least, space - thickness)
+                    m += found
+                    reach = min(reach, valid)
+                if standoff < numbers[at.STANDOFF] or close < 2:
+                    break
+                standoff = least
+                if not standoff > YIELD:
+                    break
+            count = m - start
+            if first != second:
+                for i in range(start, m):
+                    planes[i + count] = planes[i]
+                    planes[i + count, at.POINT] = second
+                m += count
+            words[at.COUNT] = m
+        # As for the tip: the step ends within the motion sphere, its path within what was searched.
+        whole = reach >= radius
+        for end in (first, second):
+            guards[end, at.PATH_LIMIT] = reach - numbers[at.BEYOND] if whole else reach
+            guards[end, at.STEP_LIMIT] = min(reach, guards[first, at.STEP_RADIUS])
+
+
+@njit(cache=True)
+def _set_ball(numbers, jacobians, guards, table, first, second):  # type: ignore[no-untyped-def]
+    """Set how far the ends of a body can go in a tick [m], and the ball to search."""
+    far = 0.0
+    bulge = 0.0
+    for p in (first, second):
+        far = max(far, farthest(jacobians[p], table[at.SPEED]))
+        bulge = max(bulge, sagitta(jacobians[p], table[at.SPEED], 1.0, table[at.TURNS]))
+    if numbers[at.ASKED] > 0.0:
+        far = min(far, numbers[at.ASKED])
+    radius = max(far, 2.0 * numbers[at.STANDOFF])
+    guards[first, at.STEP_RADIUS] = radius
+    guards[first, at.BALL] = radius + min(bulge, 0.25 * radius) + numbers[at.BEYOND]
+
+
+@njit(cache=True)
+def _in_port(places, guards, body):  # type: ignore[no-untyped-def]
+    """Whether a body stays in the trocar zone for this tick, where nothing of it is guarded.
+
+    Its axis begins where it leaves the zone, and all of it is in the zone while its end has not
+    come as far as that from the centre.
+    """
+    centre = body[at.CENTRE]
+    if centre < 0:
+        return False
+    first, second = body[at.FIRST], body[at.SECOND]
+    edge = 0.0
+    end = 0.0
+    for k in range(3):
+        out = places[first, k] - places[centre, k]
+        edge += out * out
+        end += out * (places[second, k] - places[centre, k])
+    edge = np.sqrt(edge)
+    return end < (edge - guards[first, at.BALL]) * edge

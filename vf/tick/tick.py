@@ -16,9 +16,9 @@ from vf.planes import LARGEST
 from vf.qp.problem import JOINT_RANGE, desired_step, fill_rows, obeys, usable
 from vf.qp.solver import Solver
 from vf.tick.attempts import ask, bisect, next_attempt, set_trial, settle, shortened
-from vf.tick.chain import LINK, jacobian, tip_pose
+from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
 from vf.tick.report import write_report
-from vf.tick.search import search_planes, set_radius, sides_known
+from vf.tick.search import search_bodies, search_planes, set_radius, sides_known
 
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 
@@ -63,6 +63,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
     points = words[at.POINTS]
     places = numba.carray(floats_at(words[at.PLACES]), (points, 3))
     jacobians = numba.carray(floats_at(words[at.JACOBIANS]), (points, 3, n))
+    guards = numba.carray(floats_at(words[at.GUARDS]), (points, at.GUARD))
     if phase == at.PLACED:
         numbers[at.MARKS] = now()
         if words[at.LINKS] == 0 and not _placed(start, J):
@@ -73,6 +74,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             places[0, k] = start[k, 3]
             for j in range(n):
                 jacobians[0, k, j] = J[k, j]
+        if points > 1:
+            _place_bodies(words, table[at.POSITION], guards, places, jacobians)
         if not sides_known(words, places[0]):
             return -at.SIDED
         phase = at.SIDED
@@ -83,6 +86,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             return -at.FOUND
         phase = at.FOUND
 
+    if phase == at.FOUND and words[at.BODIES] > 0:
+        search_bodies(words, numbers, planes, places, jacobians, guards, table)
     m = words[at.COUNT]
     bounds = numba.carray(floats_at(words[at.BOUNDS]), (words[at.ROOM],))
     multipliers = numba.carray(floats_at(words[at.MULTIPLIERS]), (words[at.ROOM],))
@@ -94,6 +99,10 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         whole = reach >= numbers[at.SEARCHED]
         numbers[at.FARTHEST] = reach - numbers[at.BEYOND] if whole else reach
         numbers[at.LONGEST] = min(numbers[at.ALLOWED], numbers[at.TIP_REACH])
+        if words[at.STUCK] > 0:
+            numbers[at.ALLOWED] = 0.0
+        guards[0, at.PATH_LIMIT] = numbers[at.FARTHEST]
+        guards[0, at.STEP_LIMIT] = numbers[at.LONGEST]
         numbers[at.MARKS + 1] = now()
         desired_step(
             start,
@@ -111,7 +120,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             table[at.UPPER, j] = max(table[at.HIGHEST, j] - table[at.POSITION, j], 0.0)
         rows = numba.carray(floats_at(words[at.ROWS]), (words[at.ROOM], n))
         numbers[at.DISTANCE], numbers[at.DEFICIT] = fill_rows(
-            planes, m, places, jacobians, numbers[at.STANDOFF], numbers[at.TIP_RADIUS], rows, bounds
+            planes, m, places, jacobians, numbers[at.STANDOFF], guards, rows, bounds
         )
         words[at.STAGE] = at.WHOLE
         if ask(words, numbers, table, bounds, scratch, multipliers):
@@ -141,8 +150,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                     planes[i, at.PUSH] = multipliers[i]
                 moves = shortened(numbers, table, J, scratch, at.STEP)
                 numbers[at.MARKS + 2] = now()
-                if not moves:
-                    numbers[at.SHARE] = 1.0
+                if not moves or words[at.STUCK] > 0:
+                    numbers[at.SHARE] = 0.0 if words[at.STUCK] > 0 else 1.0
                     table[at.TRIAL] = table[at.POSITION]
                     tip[:] = start
                     return write_report(words, numbers, table, goal, tip, planes, places[0])
@@ -159,9 +168,10 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if phase == at.TRIED:
             for k in range(3):
                 trials[0, k] = tip[k, 3]
-            allowed = obeys(
-                planes, m, places, trials, bulges, numbers[at.FARTHEST], numbers[at.LONGEST]
-            )
+            if points > 1:
+                chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+                place_points(chain, table[at.TRIAL], guards, trials)
+            allowed = obeys(planes, m, places, trials, bulges, guards)
             if allowed and words[at.INSIDE] > 0:
                 return -at.JUDGED
         else:
@@ -171,8 +181,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             numbers[at.SHARE] = 1.0
             return write_report(words, numbers, table, goal, tip, planes, trials[0])
         phase = next_attempt(
-            words, numbers, table, planes, places, trials, jacobians, bulges, scratch, multipliers,
-            allowed, start, tip,
+            words, numbers, table, planes, places, trials, jacobians, guards, bulges, scratch,
+            multipliers, allowed, start, tip,
         )  # fmt: skip
         if phase == at.SOLVED:
             if words[at.LEFT] > 0:
@@ -193,6 +203,17 @@ def _place(words, q, pose):  # type: ignore[no-untyped-def]
     chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
     axes = numba.carray(floats_at(words[at.AXES]), (words[at.LINKS], 6))
     tip_pose(chain, q, pose, axes)
+
+
+@njit(cache=True)
+def _place_bodies(words, q, guards, places, jacobians):  # type: ignore[no-untyped-def]
+    """Guarded points but the tip, and their Jacobians, for joints q (n,) that `_place` was for."""
+    chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+    axes = numba.carray(floats_at(words[at.AXES]), (words[at.LINKS], 6))
+    place_points(chain, q, guards, places)
+    for p in range(1, places.shape[0]):
+        joints = int(guards[p, at.ANCHOR])
+        point_jacobian(chain, axes, joints, places[p, 0], places[p, 1], places[p, 2], jacobians[p])
 
 
 @njit(cache=True)
