@@ -1,12 +1,13 @@
-"""Distance of an axis from a mesh, over the judges' own boxes."""
+"""Distance of an axis, and of the parts of an instrument, from a mesh, over the judges' boxes."""
 
 from __future__ import annotations
 
 from heapq import heappop, heappush
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+import robots
 from app.judges import exact
 from app.judges.boxes import FAN, Boxes
 from app.judges.oracles import distance, touches
@@ -27,6 +28,27 @@ def nearest(boxes: Boxes, axis: FloatArray, within: float = np.inf) -> tuple[flo
     if doubtful >= 0 and exact.meets(ends[0], ends[1], boxes.vertices[boxes.faces[doubtful]]):
         return 0.0, int(doubtful)
     return float(gap), int(triangle)
+
+
+def gaps(boxes: Boxes, arm: robots.Arm, q: ArrayLike, trocar: float = 0.0) -> FloatArray:
+    """Distance of each capsule (c,) of an arm at joints q (n,) from the mesh [m]; overlapping: < 0.
+
+    Minus its radius where a capsule's axis meets the mesh. Infinity for a capsule that is farther
+    than one before it. `trocar` is the radius of the zone around the remote centre in which the
+    shaft may be in the mesh [m]: there it is not looked at.
+    """
+    found = np.full(len(arm.capsules), np.inf)
+    least = np.inf
+    for k, (capsule, axis) in enumerate(zip(arm.capsules, arm.axes(q), strict=True)):
+        if capsule.port and trocar > capsule.radius:
+            way = axis[1] - axis[0]
+            share = np.sqrt(trocar**2 - capsule.radius**2) / max(np.linalg.norm(way), 1e-300)
+            if share >= 1.0:
+                continue
+            axis = np.array([axis[0] + share * way, axis[1]])
+        found[k] = nearest(boxes, axis, max(least, 0.0) + capsule.radius)[0] - capsule.radius
+        least = min(least, found[k])
+    return found
 
 
 @njit(cache=True, nogil=True)
