@@ -219,3 +219,93 @@ def walk(  # type: ignore[no-untyped-def]
                         if hidden:
                             continue
                     e2 = triangle_gap2(corners, entry, slivers, ends)
+                # Rounding may put a child nearer than its parent: keys must not decrease.
+                e2 = max(e2, d2)
+                if e2 > reach2:
+                    continue
+                new = (entry if link > 0.0 else -1 - entry) * SEEN + m
+                if e2 < next2:
+                    e2, next2 = next2, e2
+                    new, next_item = next_item, new
+                    cut, next_mask = next_mask, cut
+                if e2 <= reach2:
+                    push(queue, size, e2, new, bits_as_float(cut))
+                    size += 1
+            continue
+
+        t = -1 - item
+        fresh = since(seen, m)
+        if fresh != 0:
+            hidden, cut = triangle_behind(corners, t, planes, less, near, fresh)
+            if hidden:
+                continue
+            mask |= cut
+        rounding = rounding_of(corners, t, near)
+        corners_left, swapped = remainder(corners, t, planes, less, rounding, mask, polygon, spare)
+        if corners_left == 0:
+            continue
+        rest = spare if swapped else polygon
+        foot = polygon_foot(rest, corners_left, ends)
+        if foot[6] > reach2 and not polygon_within(rest, corners_left, foot, ends, reach):
+            continue
+        if m == budget:
+            valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
+            break
+        rule, nx, ny, nz, base, px, py, pz = separate(
+            corners, order, edges, walls, t, rest, corners_left, foot, rounding, tip_radius, ends,
+            planes, m,
+        )  # fmt: skip
+        room = lowest(nx, ny, nz, ends)
+        clear = room - base
+        faint = FAINT * rounding
+        if not clear > faint:
+            # x is on the triangle within rounding: no plane separates them, so no step is safe.
+            valid = 0.0
+            break
+        low = base + 4.0 * rounding
+        space = clear - tip_radius
+        if m == 0:
+            deepest = min(tip_radius, clear)
+            nearest = space
+        if space > faint:
+            kept = max(standoff, faint)
+            if space < kept:
+                # Between two walls less than two standoffs apart the tool may come as close to
+                # the farther wall as it is to the nearer one, so that it can stay in the middle.
+                kept = min(space, max(nearest, faint))
+            eased = ease * m * (space - kept)
+            offset = min(base + tip_radius + kept + eased, room - min(YIELD, YIELD_SHARE * space))
+            limit = max(base + BUMPY * kept + eased, low)
+            bump = min(BUMPY * kept, limit - low)
+            floor = limit + tip_radius
+        else:
+            # The tip overlaps the triangle: the planes then guarantee that its centre comes no
+            # closer to any triangle than it is to the nearest one now.
+            kept = max(deepest, 0.5 * faint)
+            offset = room - min(YIELD, YIELD_SHARE * kept)
+            limit = max(low, room - kept)
+            bump = 0.0
+            floor = limit
+        plane = planes[m]
+        plane[at.NORMAL], plane[at.NORMAL + 1], plane[at.NORMAL + 2] = nx, ny, nz
+        plane[at.OFFSET] = offset
+        plane[at.FLOOR] = floor
+        plane[at.FOOT], plane[at.FOOT + 1], plane[at.FOOT + 2] = px, py, pz
+        plane[at.TRIANGLE] = order[t]
+        plane[at.RULE] = rule
+        plane[at.FIXTURE] = plane[at.CAPSULE] = plane[at.POINT] = plane[at.PUSH] = 0.0
+        plane[at.LIMIT] = limit
+        plane[at.BUMP] = bump
+        m += 1
+    return m, valid
+
+
+@njit(cache=True, nogil=True)
+def walk_alone(  # type: ignore[no-untyped-def]
+    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease, planes
+):  # fmt: skip
+    """`walk` with its own working memory, for a single call from Python."""
+    return walk(
+        nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
+        planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
+    )  # fmt: skip
