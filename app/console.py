@@ -12,7 +12,16 @@ from dataclasses import dataclass
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress, ProgressColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 GAP = 2  # between two columns
@@ -51,8 +60,20 @@ def console(stderr: bool = False, soft_wrap: bool = False) -> Console:
     return _Console(highlight=False, stderr=stderr, soft_wrap=soft_wrap)
 
 
-def progress(*columns: ProgressColumn | str, refresh: float = 10) -> Progress:
-    """A progress bar on stderr, removed at the end; nothing if stderr is not a terminal."""
+def progress(*, counted: bool = False, bar: bool = True, refresh: float = 10) -> Progress:
+    """The progress of some work on stderr, removed at the end; nothing if that is no terminal.
+
+    Args:
+        counted: show how many items are done.
+        bar: show the share that is done; else it is not known.
+        refresh: [1/s].
+    """
+    columns: list[ProgressColumn] = [TextColumn("{task.description}"), TimeElapsedColumn()]
+    if bar:
+        columns[1:1] = [BarColumn(), *([MofNCompleteColumn()] if counted else [])]
+        columns.append(TimeRemainingColumn())
+    else:
+        columns.insert(0, SpinnerColumn())
     out = console(stderr=True)
     return Progress(
         *columns, console=out, transient=True, disable=not out.is_terminal,

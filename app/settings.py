@@ -48,7 +48,7 @@ class Options(Checked):
     )  # fmt: skip
     frame: str | None = option(
         Maybe(Frame("frame", choices.FRAMES)), None,
-        "Patient frame of a mesh file that does not say it. It is told; nothing turns.",
+        "Patient frame of a mesh file that does not name it. Nothing is transformed.",
         Scope.MESH, recorded=False,
     )  # fmt: skip
     at: tuple[float, float, float] | None = option(
@@ -68,16 +68,20 @@ class Options(Checked):
     )  # fmt: skip
     damage: str = option(
         OneOf("damage", choices.DAMAGES), "none",
-        "Damage done to the mesh on purpose, to see how a rule bears it.", Scope.MESH,
+        "Damage done to the mesh on purpose, to test a rule.", Scope.MESH,
     )  # fmt: skip
     seed: int = option(Whole(*SEEDS), 0, "Seed of the damage.", Scope.MESH)
     repair: bool = option(
         Switch(), False,
-        "Weld, drop what is no face, turn what is wound wrongly, before use; nothing is moved.",
+        "Weld vertices, drop degenerate and duplicate faces, correct the winding; no vertex is "
+        "moved.",
         Scope.MESH,
     )  # fmt: skip
     flip: bool = option(
-        Switch(), False, "Turn open sheets over: they have no outside to be known by.", Scope.MESH
+        Switch(),
+        False,
+        "Reverse the winding of open sheets: their outside is not known.",
+        Scope.MESH,
     )
     path: str | None = option(
         Maybe(File()), None,
@@ -94,6 +98,18 @@ class Options(Checked):
     rule: str = option(
         OneOf("rule", choices.RULES), "certified",
         "Which planes guard the tool: paper has its Conditions 1-3, all takes every face.",
+        Scope.FIXTURE,
+    )  # fmt: skip
+    guard: str = option(
+        OneOf("guard", choices.GUARDS), "tool",
+        "What the certified rule keeps out of the anatomy: tool is every part of the instrument, "
+        "tip its tip alone. The other rules guard the tip alone.",
+        Scope.FIXTURE,
+    )  # fmt: skip
+    trocar: float = option(
+        Length(0.0, 0.1), 0.0,
+        "With guard tool: radius of the ball around the remote centre in which the shaft may pass "
+        "through the mesh, as through a port; 0: nowhere. Only the psm has one.",
         Scope.FIXTURE,
     )  # fmt: skip
     radius: float | None = option(
@@ -134,8 +150,8 @@ class Options(Checked):
     )  # fmt: skip
     tip_speed: float = option(
         Speed(1e-3, 2.0), 2.0,
-        "The tool's tip goes no faster, such as 100mm/s; the joints have speed limits of their "
-        "own.", Scope.FIXTURE,
+        "Speed limit of the tool's tip, such as 100mm/s, beside those of the joints.",
+        Scope.FIXTURE,
     )  # fmt: skip
     force_gain: float = option(
         Number(0.0, 1000.0, "N/m"), 150.0,
@@ -156,13 +172,18 @@ class Options(Checked):
     scenario: str | None = option(
         Maybe(File(metavar="NAME|FILE")), None,
         f"Start with a scenario: {', '.join(choices.SCENARIOS)}; or from a JSON file. Other "
-        "options win over what it says, but for the mesh.", Scope.SERVER,
+        "options override it, except the mesh.", Scope.SERVER,
     )  # fmt: skip
 
     @property
     def dt(self) -> float:
         """Length of a tick [s]."""
         return 1.0 / self.rate
+
+    @property
+    def guards_tool(self) -> bool:
+        """Whether all parts of the instrument are guarded, and not only its tip."""
+        return self.guard == "tool" and self.rule == "certified"
 
 
 DECLARED = declared(Options)

@@ -3,5 +3,6 @@
 from robots.arm import Arm, Unreachable
 from robots.catalogue import load, names
 from robots.drawing import Body
+from robots.instrument import Capsule
 
-__all__ = ["Arm", "Body", "Unreachable", "load", "names"]
+__all__ = ["Arm", "Body", "Capsule", "Unreachable", "load", "names"]

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robots import chain
 from robots.drawing import Body, Drawing
+from robots.instrument import BASE, Capsule, tip_ball
 
 FloatArray = NDArray[np.float64]
 
@@ -37,6 +38,9 @@ class Arm:
         revolute: 1 for a revolute joint, 0 for a prismatic one.
         neutral:  the rest pose, within the limits.
         chain:    `(k + 1, 14)`, the joints between base and tip as `vf.tick.chain` reads them.
+        capsules: the bodies of the instrument, the one at the tip first.
+        anchors:  `(c, 2, 4)`, where the ends of the capsules' axes are fixed, as `vf.tick.chain`
+                  reads them.
     """
 
     def __init__(
@@ -47,6 +51,7 @@ class Arm:
         neutral: ArrayLike,
         inverse: Inverse,
         drawing: Callable[[], Drawing],
+        capsules: tuple[Capsule, ...] = (),
     ) -> None:
         if not model.existFrame(tip_frame):
             raise ValueError(f"arm {name!r} has no frame {tip_frame!r}")
@@ -64,6 +69,9 @@ class Arm:
         self._data = model.createData()
         self._tip = int(model.getFrameId(tip_frame))
         self.chain = chain.flat(model, self._tip)
+        self.capsules = tuple(capsules) or (tip_ball(model, self._tip),)
+        self._check_capsules()
+        self.anchors = chain.anchors(model, self._tip, self.capsules)
         self._inverse = inverse
         self._drawing = drawing
         self.neutral = _read_only(self._checked(neutral))
@@ -79,6 +87,7 @@ class Arm:
             self.neutral,
             self._inverse,
             self._drawing,
+            self.capsules,
         )
 
     def tip(self, q: ArrayLike) -> pin.SE3:
@@ -102,6 +111,34 @@ class Arm:
         # This updates the joints' placements too.
         J = pin.computeFrameJacobian(self._model, self._data, q, self._tip, _ALIGNED)
         return pin.updateFramePlacement(self._model, self._data, self._tip), J
+
+    def axes(self, q: ArrayLike) -> FloatArray:
+        """Starts and ends of the axes of `capsules`, `(c, 2, 3)`, base frame [m]."""
+        pin.forwardKinematics(self._model, self._data, self._checked(q))
+        placements = self._data.oMi
+        return np.array(
+            [
+                [
+                    placements[self._model.getJointId(frame)].act(np.array(end))
+                    for frame, end in zip(capsule.frames, capsule.ends, strict=True)
+                ]
+                for capsule in self.capsules
+            ]
+        )
+
+    def axis_jacobians(self, q: ArrayLike) -> FloatArray:
+        """Linear Jacobians of the ends of the axes, `(c, 2, 3, n)`, along the base frame's axes."""
+        pin.computeJointJacobians(self._model, self._data, self._checked(q))
+        found = np.zeros((len(self.capsules), 2, 3, len(self.lower)))
+        for k, capsule in enumerate(self.capsules):
+            for i, (name, end) in enumerate(zip(capsule.frames, capsule.ends, strict=True)):
+                if name == BASE:
+                    continue
+                joint = self._model.getJointId(name)
+                J = pin.getJointJacobian(self._model, self._data, joint, _ALIGNED)
+                arm = self._data.oMi[joint].rotation @ np.array(end)
+                found[k, i] = J[:3] - pin.skew(arm) @ J[3:]
+        return found
 
     def clamp(self, q: ArrayLike) -> FloatArray:
         """`q` with every joint brought into its limits, a new `(n,)` array."""
@@ -141,6 +178,18 @@ class Arm:
         drawing = self._drawing()
         poses.update((n, _viewer_pose(T)) for n, T in drawing.passive(q).items())
         return np.array([poses[body.frame] for body in drawing.bodies])
+
+    def _check_capsules(self) -> None:
+        names = [capsule.name for capsule in self.capsules]
+        if len(set(names)) < len(names):
+            raise ValueError(f"arm {self.name!r}: capsules must have different names, got {names}")
+        for capsule in self.capsules:
+            for frame in capsule.frames:
+                if frame != BASE and frame not in self.joints:
+                    raise ValueError(
+                        f"arm {self.name!r}: capsule {capsule.name!r} is fixed to {frame!r}; "
+                        f"choose one of {BASE}, {', '.join(self.joints)}"
+                    )
 
     def _checked(self, q: ArrayLike) -> FloatArray:
         vector = np.asarray(q, dtype=np.float64)

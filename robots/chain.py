@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from robots.instrument import BASE, Capsule
 from vf.tick.chain import JOINT, LINK, REVOLUTE, ROTATION, TRANSLATION
 
 FloatArray = NDArray[np.float64]
@@ -17,14 +20,10 @@ def flat(model: pin.Model, frame: int) -> FloatArray:
     Raises:
         ValueError: a joint is neither prismatic nor bounded revolute.
     """
-    joint = model.frames[frame].parentJoint
-    carried = []
-    while joint > 0:
-        carried.append(joint)
-        joint = model.parents[joint]
+    carried = _joints_to(model, frame)
     rows = np.zeros((len(carried) + 1, LINK))
     turned = pin.SE3.Identity()  # from the joint's frame to one whose z is its axis
-    for row, joint in zip(rows, reversed(carried), strict=False):
+    for row, joint in zip(rows, carried, strict=False):
         axis, revolute = _axis(model, joint)
         placement = turned.inverse() * model.jointPlacements[joint]
         turned = pin.SE3(_with_z(axis), np.zeros(3))
@@ -34,6 +33,44 @@ def flat(model: pin.Model, frame: int) -> FloatArray:
     _place(rows[-1], turned.inverse() * model.frames[frame].placement)
     rows.flags.writeable = False
     return rows
+
+
+def anchors(model: pin.Model, frame: int, capsules: Sequence[Capsule]) -> FloatArray:
+    """Where the axes of capsules are fixed to the chain of a frame: (c, 2, 4), read-only.
+
+    For each end the number of joints of the chain that move it, and where it is [m] in the frame
+    of the last of them, whose z axis is the joint's (see `vf.tick.chain`).
+
+    Raises:
+        ValueError: a capsule is fixed to a joint that does not move the frame.
+    """
+    carried = _joints_to(model, frame)
+    found = np.zeros((len(capsules), 2, 4))
+    for row, capsule in zip(found, capsules, strict=True):
+        for anchor, name, end in zip(row, capsule.frames, capsule.ends, strict=True):
+            point = np.array(end)
+            if name != BASE:
+                joint = model.getJointId(name)
+                if joint not in carried:
+                    raise ValueError(
+                        f"capsule {capsule.name!r} is fixed to {name!r}, which is not between the "
+                        "base and the tip"
+                    )
+                anchor[0] = 1 + carried.index(joint)
+                point = _with_z(_axis(model, joint)[0]).T @ point
+            anchor[1:] = point
+    found.flags.writeable = False
+    return found
+
+
+def _joints_to(model: pin.Model, frame: int) -> list[int]:
+    """The joints between the base and a frame, from the base outwards."""
+    joint = model.frames[frame].parentJoint
+    carried = []
+    while joint > 0:
+        carried.append(int(joint))
+        joint = model.parents[joint]
+    return carried[::-1]
 
 
 def _place(row: FloatArray, T: pin.SE3) -> None:

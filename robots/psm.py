@@ -26,10 +26,15 @@ import pinocchio as pin
 
 from robots import psm_drawing
 from robots.arm import Arm, FloatArray, Unreachable, add_joint
+from robots.instrument import Capsule, rigid
 
 INSERTION_OFFSET = 0.4318 - 0.4162  # [m] insertion at which the wrist is at the remote centre
 WRIST_LENGTH = 0.0091  # [m] wrist-pitch axis to wrist-yaw axis
 TIP_LENGTH = 0.0102  # [m] wrist-yaw axis to tip
+SHAFT_RADIUS = 0.00835 / 2  # [m]
+SHAFT_TOP = 0.4162 - 0.090  # [m] from the wrist up to where the shaft enters the tool's housing
+_BLADE_RADIUS = 0.0015  # [m] the cutter's widest half
+_WRIST_RADIUS = 0.0042  # [m] with the pivots on both of its axes
 NEUTRAL = (0.0, 0.0, 0.12, 0.0, 0.0, 0.0)
 
 # A DH row's fixed rotation turned so that Pinocchio's joint axis, z, is the row's own.
@@ -48,6 +53,23 @@ _JOINTS = (
     ("wrist_yaw", "R", _TURN, (WRIST_LENGTH, 0.0, 0.0), (-1.396, 1.396), 6 * pi),
 )
 
+# The blade's capsule ends at the tip. The remote centre, where the pitch joint's frame has its
+# origin, cuts the shaft in two; the wrist is the origin of the roll joint's frame.
+CAPSULES = (
+    rigid(
+        "blade", _BLADE_RADIUS, "wrist_yaw",
+        (0.0, 0.0, 0.0), (0.0, TIP_LENGTH - _BLADE_RADIUS, 0.0),
+    ),
+    rigid("wrist", _WRIST_RADIUS, "wrist_pitch", (0.0, 0.0, 0.0), (WRIST_LENGTH, 0.0, 0.0)),
+    Capsule(
+        "shaft", SHAFT_RADIUS, ("pitch", "roll"), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), port=True
+    ),
+    Capsule(
+        "upper shaft", SHAFT_RADIUS, ("pitch", "roll"),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, -SHAFT_TOP)), port=True,
+    ),
+)  # fmt: skip
+
 _MATCH = 1e-8  # [m, rad] largest error of the forward kinematics of a solution
 _SINGULAR = 1e-9  # [m] shortest vector whose direction is defined
 _ROUNDING = 1e-9  # [m, rad] tolerance of a joint on its limit
@@ -64,7 +86,7 @@ def load() -> Arm:
         parent = add_joint(model, parent, joint, T_parent_joint, name, limits, speed)
     T_wrist_tip = pin.SE3(_TIP, np.array([0.0, TIP_LENGTH, 0.0]))
     model.addFrame(pin.Frame("tip", parent, T_wrist_tip, pin.FrameType.OP_FRAME))
-    return Arm("psm", model, "tip", NEUTRAL, inverse, psm_drawing.drawing)
+    return Arm("psm", model, "tip", NEUTRAL, inverse, psm_drawing.drawing, CAPSULES)
 
 
 def inverse(arm: Arm, pose: pin.SE3, start: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ import trimesh
 from robots import collada, numeric
 from robots.arm import Arm
 from robots.drawing import Body, Color, Drawing, body, rod
+from robots.instrument import Capsule, Point, rigid
 
 _TRIANGLES = 60_000  # of a whole arm's drawing
 _PANDA = "panda_description/urdf/panda.urdf"
@@ -31,15 +32,32 @@ PROBE_LENGTH = 0.1
 """From the frame that holds the probe to the probe's point [m]."""
 _PROBE_RADIUS = 0.0025  # [m]
 _POINT_LENGTH = 0.02  # of the tapered end [m]
+_BETWEEN_FINGERS = 0.015  # of the panda's probe [m]
 _STEEL: Color = (176, 182, 188)
 _TIP = "probe_tip"
+
+# Capsules around the last links: name, radius [m], frame, start and end there [m].
+_PANDA_LINKS = (
+    ("fingers", 0.027, "panda_hand", (0.0, -0.007, 0.088), (0.0, 0.007, 0.088)),
+    ("hand", 0.044, "panda_hand", (0.0, -0.075, 0.030), (0.0, 0.075, 0.030)),
+    ("flange", 0.051, "panda_hand", (0.0, -0.064, -0.033), (0.0, 0.060, -0.033)),
+    ("wrist", 0.077, "panda_joint6", (0.022, 0.009, 0.0), (0.089, 0.009, 0.0)),
+    ("forearm", 0.069, "panda_joint5", (0.0, 0.010, -0.241), (0.0, 0.064, 0.002)),
+)
+_UR5_LINKS = (
+    ("flange", 0.044, "wrist_3_joint", (0.0, 0.061, 0.0), (0.0, 0.075, 0.0)),
+    ("wrist 2", 0.057, "wrist_2_joint", (0.0, 0.010, 0.092), (0.0, -0.011, 0.090)),
+    ("wrist 1", 0.057, "wrist_1_joint", (0.0, 0.090, -0.011), (0.0, 0.090, 0.010)),
+    ("forearm", 0.065, "elbow_joint", (0.0, 0.028, -0.002), (0.0, -0.001, 0.388)),
+)
 
 
 def load_panda() -> Arm:
     """Franka Panda with a probe of `PROBE_LENGTH` in its locked fingers; tip: the probe's point."""
     neutral = (0.0, -pi / 4, 0.0, -3 * pi / 4, 0.0, pi / 2, pi / 4)
     model = _with_probe(_locked(_model(_PANDA), _FINGERS), _PANDA_HOLDER)
-    return Arm("panda", model, _TIP, neutral, numeric.inverse, _panda_drawing)
+    capsules = _capsules(model, _PANDA_HOLDER, -_BETWEEN_FINGERS, _PANDA_LINKS)
+    return Arm("panda", model, _TIP, neutral, numeric.inverse, _panda_drawing, capsules)
 
 
 def load_ur5() -> Arm:
@@ -51,7 +69,8 @@ def load_ur5() -> Arm:
     shoulder, elbow = -1.638, 1.846
     neutral = (0.0, shoulder, elbow, -pi / 2 - shoulder - elbow, -pi / 2, 0.0)
     model = _with_probe(_model(_UR5), _UR5_HOLDER)
-    return Arm("ur5", model, _TIP, neutral, numeric.inverse, _ur5_drawing)
+    capsules = _capsules(model, _UR5_HOLDER, 0.0, _UR5_LINKS)
+    return Arm("ur5", model, _TIP, neutral, numeric.inverse, _ur5_drawing, capsules)
 
 
 def _with_probe(model: pin.Model, holder: str) -> pin.Model:
@@ -65,6 +84,23 @@ def _with_probe(model: pin.Model, holder: str) -> pin.Model:
     return model
 
 
+def _capsules(
+    model: pin.Model,
+    holder: str,
+    root: float,
+    links: tuple[tuple[str, float, str, Point, Point], ...],
+) -> tuple[Capsule, ...]:
+    """The probe, from `root` [m] along its holder's z to the tip, and the links."""
+    along = ((0.0, 0.0, root), (0.0, 0.0, PROBE_LENGTH - _PROBE_RADIUS))
+    found = []
+    for name, radius, frame, start, end in (("probe", _PROBE_RADIUS, holder, *along), *links):
+        placed = model.frames[model.getFrameId(frame)]
+        joint = model.names[placed.parentJoint]
+        ends = [placed.placement.act(np.array(point)).tolist() for point in (start, end)]
+        found.append(rigid(name, radius, joint, tuple(ends[0]), tuple(ends[1])))
+    return tuple(found)
+
+
 def _probe_drawing(urdf: str, locked: tuple[str, ...], holder: str, socket: float) -> Body:
     """A tapered rod to the tip; `socket` [m] is the radius of the disc it stands on (0: none)."""
     model = _locked(_model(urdf), locked)
@@ -72,7 +108,7 @@ def _probe_drawing(urdf: str, locked: tuple[str, ...], holder: str, socket: floa
     waist = [0.0, 0.0, PROBE_LENGTH - _POINT_LENGTH]
     parts = [
         # It begins between the fingers.
-        rod([0.0, 0.0, 0.0 if socket else -0.015], waist, _PROBE_RADIUS),
+        rod([0.0, 0.0, 0.0 if socket else -_BETWEEN_FINGERS], waist, _PROBE_RADIUS),
         rod(waist, [0.0, 0.0, PROBE_LENGTH], _PROBE_RADIUS, end_radius=1e-4),
     ]
     if socket:

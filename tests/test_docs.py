@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import importlib.util
 import json
 import re
 import shlex
@@ -18,8 +19,10 @@ import pytest
 from app import commands as dispatch
 from app import options
 from app.commands import COMMANDS
+from app.session import Session
 from app.settings import Options
 from tests.support import pictured
+from tests.support.headless import wait_until
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
@@ -29,12 +32,74 @@ def named(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def test_the_library_page_runs_as_it_stands() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs/library.md").read_text(), re.DOTALL)
-    assert len(blocks) == 4
+@pytest.mark.parametrize("page", ["anatomy", "library", "recording"])
+def test_the_python_of_a_page_runs_as_it_stands(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if page == "recording":
+        with Session(Options(mesh="gear", robot="point")) as session:
+            session.record("gear.vfrec")
+            wait_until(lambda: session.latest().tick > 50)
+    text = (ROOT / f"docs/{page}.md").read_text("utf-8")
     names: dict[str, object] = {}
-    for block in blocks:
-        exec(compile(block, "docs/library.md", "exec"), names)
+    for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(compile(block, f"docs/{page}.md", "exec"), names)
+    assert len(names) > 3
+    assert names.get("difference") is None
+
+
+def test_all_pages_with_python_are_run() -> None:
+    assert {path.stem for path in DOCUMENTS if "```python" in path.read_text("utf-8")} == {
+        "README", "anatomy", "library", "recording",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_files_and_names_in_the_text_exist(document: Path) -> None:
+    text = document.read_text("utf-8")
+    for name in re.findall(r"`((?:app|vf|robots|meshes|tests|docs)/[\w/.*-]*)`", text):
+        assert list(ROOT.glob(name)), name
+    for name in re.findall(r"`((?:app|vf|robots|meshes)\.[\w.]+)[`(]", text):
+        assert resolves(name), name
+
+
+def test_where_things_are_is_where_contributing_says() -> None:
+    """Each name in a row of the table is defined in the file or folder that is named before it."""
+    rows = re.findall(
+        r"^\| (?!to add|-).*\|$", (ROOT / "CONTRIBUTING.md").read_text(), re.MULTILINE
+    )
+    assert len(rows) > 10
+    for row in rows:
+        text = ""
+        for word in re.findall(r"`([^` ]+)`", row):
+            place = ROOT / word
+            if "/" in word:
+                files = place.rglob("*.py") if place.is_dir() else [place]
+                text = "".join(file.read_text("utf-8") for file in files)
+            else:
+                assert re.search(rf"^ *(def |class )?{word}\b *[(:=]", text, re.MULTILINE), row
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or something in one, down to a dataclass's field."""
+    words = name.split(".")
+    at = next(k for k in range(len(words), 0, -1) if find_spec_of(".".join(words[:k])))
+    found: Any = importlib.import_module(".".join(words[:at]))
+    for word in words[at:]:
+        if word in getattr(found, "__dataclass_fields__", ()):
+            return True
+        if not hasattr(found, word):
+            return False
+        found = getattr(found, word)
+    return True
+
+
+def find_spec_of(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # its parent is no package
+        return False
 
 
 def test_the_readme_s_python_runs_as_it_stands() -> None:
@@ -165,7 +230,10 @@ MORE = {
         "types",
         "warnings",
     },
-    "tick/tick": {"numba"},  # arrays in one block of memory
+    "tick/attempts": {"numba"},  # arrays in one block of memory
+    "tick/report": {"numba"},
+    "tick/search": {"numba"},
+    "tick/tick": {"numba"},
     "qp/active_set": {"numba"},
 }
 

@@ -29,6 +29,12 @@ SHOWN = {
         r"flipped faces, rule paper: [1-9]\d* of 40",
         r"flipped faces, rule certified: 0 of 40",
     ],
+    "07_instrument.py": [
+        r"psm, 6 joints\n  blade       radius  1\.50 mm, axis   8\.7 mm, moves with wrist_yaw",
+        r"shaft       radius  4\.17 mm, axis 104\.4 mm, moves with pitch and roll",
+        r"ur5, 6 joints\n  probe       radius  2\.50 mm, axis  97\.5 mm",
+        r"needle      radius  1\.60 mm, axis  43\.1 mm, moves with z",
+    ],
 }
 
 

@@ -87,3 +87,46 @@ def test_tests_share_what_is_in_support_and_nothing_else() -> None:
         for name in imported(path):
             assert not name.startswith("test_"), path
             assert not name.startswith("tests.") or name.startswith("tests.support"), path
+
+
+# What is in app/, from the ground up: each imports its own level and those below.
+LEVELS = (
+    {"choices", "console", "files", "interrupts", "judges", "kinds", "options", "refused",
+     "settings", "words"},
+    {"control", "devices", "recording", "scenarios", "scene", "session"},
+    {"studies", "view"},
+    {"bench", "serving"},
+    {"commands"},
+    {"cli"},
+    {"__main__"},
+)  # fmt: skip
+# The same for the page.
+PAGE_LEVELS = ({"drawing"}, {"clients"}, {"controls", "inspector"}, {"tabs"})
+
+
+@pytest.mark.parametrize(("package", "levels"), [("app", LEVELS), ("app.view", PAGE_LEVELS)])
+def test_no_import_leads_back_up(package: str, levels: tuple[set[str], ...]) -> None:
+    level = {name: k for k, names in enumerate(levels) for name in names}
+    folder = ROOT.joinpath(*package.split("."))
+    for path in folder.rglob("*.py"):
+        own = path.relative_to(folder).parts[0].removesuffix(".py")
+        if package == "app":
+            assert own in level or own == "__init__", f"{own} has no level yet"
+        for name in imported(path):
+            part = name.removeprefix(f"{package}.").split(".")[0]
+            if own in level and name.startswith(f"{package}.") and part in level:
+                assert level[part] <= level[own], f"{path} imports {name}"
+
+
+@pytest.mark.parametrize("package", ["app", "meshes", "robots"])
+def test_a_folder_has_a_dozen_modules_at_most(package: str) -> None:
+    """More are two things."""
+    for folder in {path.parent for path in (ROOT / package).rglob("*.py")}:
+        modules = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
+        assert len(modules) <= 12, folder
+
+
+@pytest.mark.parametrize("package", ["app", "meshes", "robots"])
+def test_a_module_has_400_lines_at_most(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        assert len(path.read_text("utf-8").splitlines()) <= 400, path

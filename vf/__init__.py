@@ -1,7 +1,7 @@
 """Anatomical mesh-based virtual fixtures: the mathematics, headless, in SI units."""
 
 from vf.adjacency import Edge
-from vf.controller import Controller, Settings
+from vf.controller import GUARDS, Controller, Settings
 from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.planes import Planes, Rule
 from vf.qp.least_squares import ConstrainedLeastSquares, Solution
@@ -20,6 +20,7 @@ from vf.tree.closest import Feature, closest_point
 __version__ = "0.1.0"
 
 __all__ = [
+    "GUARDS",
     "RULES",
     "SOLVERS",
     "Across",

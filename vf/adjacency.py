@@ -76,7 +76,7 @@ def _link(keys, rank, vertices, faces, normals, neighbours, kinds):  # type: ign
 
 @njit(cache=True, nogil=True)
 def _pair(e, g, vertices, faces, normals, neighbours, kinds):  # type: ignore[no-untyped-def]
-    """Half-edge e (face 3·i + k) learns of the face behind half-edge g."""
+    """Set neighbour and kind of half-edge e (face 3·i + k) from the face of half-edge g."""
     i, k = e // 3, e % 3
     a = g // 3
     neighbours[i, k] = a

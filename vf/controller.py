@@ -24,15 +24,16 @@ from vf.selftest import check_kernels
 from vf.status import Status
 from vf.surface import Surface
 from vf.tick.block import Block
+from vf.tick.bodies import instrument, tip_alone
 from vf.tick.step import Step, Timings, numbers_of, tip_of
 from vf.tick.tick import tick
 from vf.tree.nearest import nearest_face_freely
 
-# The optimum is sought this many ticks ahead and then shortened to one. A tool pressed on a wall by
-# a proxy deep behind it spends its speed on the wall and crawls along it; looking farther makes it
-# quicker there, and jumpier over ridges.
+# The unconstrained step may be this many ticks long; the optimum is then shortened to one tick.
+# With 1 a tool that a proxy deep behind a wall presses onto it slides slowly, since most of its
+# motion is normal to the wall. A larger number makes it faster there and less steady at ridges.
 LOOK_AHEAD = 2.0
-# A solver is prepared for this many rows: more than few ticks have after what cannot bind is left
+# A solver is prepared for this many rows: few ticks have more after those that cannot bind are left
 # out.
 CAPACITY = 128
 
@@ -52,9 +53,13 @@ class Settings:
         tip_speed: a tick moves the tip by tip_speed × dt at most [m/s]; inf: only the joints' own
             speed limits count.
         solver: one of `vf.SOLVERS`, for what the exact shortcuts do not settle.
+        guard: "tip", or "tool": every capsule of the arm's instrument (`arm.capsules`) too, against
+            the meshes whose rule is "certified". Other rules and corridors hold the tip only.
+        trocar: with guard "tool", the mesh is exempt for the shaft in a ball of this radius around
+            the remote centre, where it enters [m]; 0: nowhere. A radius up to the shaft's is none.
 
     Raises:
-        ValueError: a value that is no number or out of its range, or an unknown solver.
+        ValueError: a value that is no number or out of its range, or an unknown solver or guard.
     """
 
     dt: float = 1e-3
@@ -66,9 +71,13 @@ class Settings:
     force_cap: float = 4.0
     tip_speed: float = inf
     solver: str = "osqp"
+    guard: str = "tip"
+    trocar: float = 0.0
 
     def __post_init__(self) -> None:
         check_solver(self.solver)
+        if self.guard not in GUARDS:
+            raise ValueError(f"unknown guard {self.guard!r}: choose one of {', '.join(GUARDS)}")
         for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
             try:
@@ -83,6 +92,7 @@ class Settings:
             object.__setattr__(self, name, number)
 
 
+GUARDS = ("tip", "tool")
 # Lowest and highest value and the unit of each of the `Settings` that is a number.
 RANGES = {
     "dt": (1e-6, 10.0, " s"),
@@ -93,6 +103,7 @@ RANGES = {
     "force_gain": (0.0, 1e6, " N/m"),
     "force_cap": (0.0, 1e6, " N"),
     "tip_speed": (1e-9, inf, " m/s"),
+    "trocar": (0.0, 1.0, " m"),
 }
 
 
@@ -100,7 +111,8 @@ class Kinematics(Protocol):
     """What the controller needs of an arm; `robots.Arm` has it.
 
     An arm with an attribute `chain` (see `vf.tick.chain`) is not asked for its kinematics: the tick
-    computes them itself.
+    computes them itself. One with `capsules` and their `anchors` besides, as `robots.Arm` has, can
+    be guarded as a whole; of any other that is the tip.
     """
 
     @property
@@ -121,7 +133,8 @@ class Controller:
     solver workspaces, and its arm's).
 
     Raises:
-        ValueError: limits of the arm that are no numbers, or out of range.
+        ValueError: limits of the arm that are no numbers, or out of range; guard "tool" with an arm
+            that has capsules but no chain.
         RuntimeError: a kernel gives a wrong answer on this machine, see `warm_up`.
     """
 
@@ -137,9 +150,13 @@ class Controller:
         n = len(arm.lower)
         self._shape = (n,)
         chain = getattr(arm, "chain", None)
-        block = self._block = Block(
-            n, chain, [getattr(fixture, "search", None) for fixture in self.fixtures]
-        )
+        searches = [getattr(fixture, "search", None) for fixture in self.fixtures]
+        parts = tip_alone(s.tip_radius)
+        if s.guard == "tool":
+            meshes = any(search is not None and search.kind == at.MESH for search in searches)
+            middle = 0.5 * (np.asarray(arm.lower) + np.asarray(arm.upper))
+            parts = instrument(arm, s.tip_radius, s.trocar, middle, meshes)
+        block = self._block = Block(n, chain, searches, parts)
         for f, fixture in enumerate(self.fixtures):
             block.searches[f, at.KEEPS] = fixture.certified
         table, numbers = block.table, block.numbers
@@ -183,7 +200,7 @@ class Controller:
                 raise
 
     def warm_up(self) -> None:
-        """Compile (or load from disk) every kernel a tick can meet, and check known answers.
+        """Compile (or load from disk) every kernel a tick may call, and check known answers.
 
         The first controller of a process does this when it is made, so no tick has to. Takes some
         20 s on the first start of an installation, and a fraction of a second later.
@@ -202,10 +219,10 @@ class Controller:
             T.translation + np.array([0.0, 0.0, 3e-3]),
         ):  # outside, inside
             surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
-            # What `Surface.nearest` goes on with in the middle of a large ball, hardly elsewhere.
+            # Used by `Surface.nearest` only where much of the surface is at the same distance.
             tree = surface.tree
             nearest_face_freely(tree.nodes, tree.corners, T.translation.copy(), inf, -1)
-            # And what only a step out of a body asks.
+            # Used only by steps out of a body.
             MeshFixture(surface).leads_out(T.translation, T.translation + 0.01)
             for rule in RULES:
                 fixture = MeshFixture(surface, rule)
@@ -224,24 +241,24 @@ class Controller:
     def step(self, q: ArrayLike, target: pin.SE3) -> Step:
         """One tick from joint positions q (n,) towards the tip pose `target`, base frame.
 
-        Raises nothing: what cannot be used as one or the other is REFUSED. The step's `q` is then q
-        itself if the target was of no use, and the `q` of the last tick if the joints were. Only
-        where there was no tick with usable joints yet is it what came in (not a number where that
-        is no array), and the tip the identity.
+        Raises nothing: where q or the target is not usable, the status is REFUSED. The step's `q`
+        is then q itself if only the target is not usable, else the `q` of the last tick. Before the
+        first tick with usable joints it is the q given (nan if that is not an array of numbers),
+        and the tip is the identity.
         """
         started = monotonic()
-        # The kernel reads what it is given as it is: only what is known for numbers goes there.
+        # The kernel does not check types: only a float64 array of the right shape may go there.
         if type(q) is not np.ndarray or q.dtype is not _FLOAT or q.shape != self._shape:
             try:
                 q = np.array(q, dtype=np.float64)
-            except Exception:  # whatever it does that is no array when it is asked for numbers
+            except Exception:  # an object may raise anything when converted
                 return self._refused(np.full(self._shape, nan), started)
             if q.shape != self._shape:
                 return self._refused(q, started)
         block = self._block
         try:
             goal = target.homogeneous if isinstance(target, pin.SE3) else _NO_POSE
-        except Exception:  # a class of somebody's own, or one without its beginning
+        except Exception:  # a subclass, or an SE3 that was never initialised
             goal = _NO_POSE
         m = self._tick(block.address, q, goal, at.BEGIN)
         while m < 0:
@@ -257,7 +274,7 @@ class Controller:
         return step
 
     def _place(self, q: FloatArray) -> None:
-        """Where the tip is, of an arm that says so itself."""
+        """Pose and Jacobian at q, of an arm without a chain."""
         T, self._block.jacobian[:] = self.arm.kinematics(q.copy())
         self._block.start[:] = T.homogeneous[:3]
 
@@ -278,7 +295,7 @@ class Controller:
         return tuple((self._block.sides[:, at.WITHIN] > 0.0).tolist())
 
     def _ask_fixtures(self, q: FloatArray) -> None:
-        """The planes of all fixtures, from themselves."""
+        """The planes of all fixtures, from their Python methods."""
         s, block = self.settings, self._block
         x = block.places[0].copy()
         radius = float(block.numbers[at.SEARCHED])
@@ -297,7 +314,7 @@ class Controller:
         block.numbers[at.REACH] = min((part.radius for part in parts), default=radius)
 
     def _solve(self, q: FloatArray) -> None:
-        """What the shortcuts left, by the solver."""
+        """Solve the problem that the active set method left."""
         block = self._block
         count = int(block.words[at.LEFT])
         left = left_over(block.scratch, block.n, count)
@@ -307,7 +324,7 @@ class Controller:
         block.duals[:count] = duals
 
     def _judge(self, q: FloatArray) -> None:
-        """What planes cannot say of a tip that starts inside of something: whether it leads out."""
+        """Whether a step that starts inside of a fixture leads out, which planes do not decide."""
         block = self._block
         x, y = block.places[0].copy(), block.trials[0].copy()
         block.words[at.ANSWER] = all(
@@ -367,7 +384,7 @@ def _check_limits(arm: Kinematics) -> None:
 class _Compiled:
     """The tick, compiled for fixed types when the first controller is made.
 
-    Numba looks at every argument of every call; nobody looks here: `Controller.step` sees to it.
+    Numba checks every argument of every call; this is not checked: `Controller.step` does it.
     """
 
     @cached_property

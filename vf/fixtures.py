@@ -15,7 +15,8 @@ from vf.rules.paper import every_plane, paper_planes
 from vf.rules.search import Search
 from vf.surface import Surface
 
-# Left to x by the planes of the paper's rules, so that rounding cannot block sliding [m].
+# The planes of the paper's rules are at least this far below x, so that rounding cannot block
+# sliding [m].
 ROOM = 1e-11
 RULES = ("certified", "paper", "all", "off")
 

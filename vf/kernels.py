@@ -1,11 +1,11 @@
-"""Compiling kernels, and keeping them on disk: sealed, never stale, wherever one can write.
+"""Compiling kernels, and a cache of them on disk that detects damage and changes.
 
-What numba does not give them is here too: arrays found by their address, bits, and the time.
+Also what numba lacks: arrays by their address, bits of numbers, and the time.
 
-Numba's own files are read as they are: one that is cut short ends every start, one with a flipped
-bit is machine code that gives other planes, and a changed callee is not noticed. Here each file
+Numba's own files are read unchecked: a truncated one makes every start fail, a flipped bit changes
+machine code, and a changed callee is not noticed. Here each file
 begins with a digest of its content, of what the kernel was made from, and of the versions it was
-made with; a file that does not fit is as if it were not there, and is written anew.
+made with; a file that does not match counts as missing and is written anew.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def _pointer(kind: Any) -> Any:
     return intrinsic(pointer)
 
 
-# For `numba.carray(floats_at(address), shape)`. A call from Python pays for every array it names,
-# more than some kernels take; an address in an array that is passed anyway costs nothing. Whoever
-# writes it down keeps the array alive.
+# For `numba.carray(floats_at(address), shape)`. Every array argument of a call from Python costs
+# more time than some kernels take; an address within an array that is passed anyway costs nothing.
+# Whoever stores an address keeps the array alive.
 floats_at = _pointer(types.float64)
 integers_at = _pointer(types.int64)
 bytes_at = _pointer(types.int8)
@@ -76,7 +76,7 @@ def lowest_bit(_context, mask):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def bits_as_float(_context, bits):  # type: ignore[no-untyped-def]
-    """A float64 of the same 64 bits as an integer, to be kept and never reckoned with."""
+    """A float64 of the same 64 bits as an integer, to be stored, not computed with."""
 
     def code(_context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
         return builder.bitcast(arguments[0], ir.DoubleType())
@@ -256,7 +256,7 @@ class _Temporary(UserProvidedCacheLocator):
             self = cls(function, file)
             self._root.mkdir(mode=0o700, exist_ok=True)
             about = self._root.lstat()
-            # Machine code is loaded from there: nobody else may have a hand in it.
+            # Machine code is loaded from there: no other user may be able to write it.
             if about.st_uid != os.getuid() or about.st_mode & 0o077 or self._root.is_symlink():
                 return None
             self.ensure_cache_path()

@@ -1,4 +1,4 @@
-"""Names of what stands where in the arrays that kernels share.
+"""Names of the places in the arrays that kernels share.
 
 A plane is a row of `PLANE` numbers in every array of planes. All memory of a tick is one block
 (`vf.tick.block`): `words` (integers: counts, codes, and the addresses of the parts), and the parts,
@@ -25,10 +25,10 @@ PLANE = 16
 # The words of a block: counts …
 JOINTS = 0  # n
 ROOM = 1  # planes there is room for
-LINKS = 2  # rows of the chain; 0: the arm answers itself
+LINKS = 2  # rows of the chain; 0: the arm computes its kinematics in Python
 FIXTURES = 3
-POINTS = 4  # guarded points
-# … the state of a tick that is not done …
+POINTS = 4  # guarded points: the tip, and the ends of the bodies' axes
+# … the state of a tick …
 STAGE = 5  # see `WHOLE`
 TRIES = 6  # in this stage
 COUNT = 7  # planes
@@ -36,7 +36,9 @@ LEFT = 8  # rows left for the solver
 SOLVER = 9  # a `vf.Solver`: of the last problem …
 FOUND_BY = 10  # … and of the optimum
 INSIDE = 11  # 1: the tip is inside of something
-ANSWER = 12  # what was answered to a question: a `vf.Solver`, or 1 for yes
+ANSWER = 12  # Python's answer to a question: a `vf.Solver`, or 1 for yes
+BODIES = 13  # how many bodies are guarded beside the tip
+STUCK = 14  # 1: the axis of a body meets the mesh
 # … and the addresses of its parts.
 CHAIN = 16  # (LINKS, chain.LINK)
 AXES = 17  # (LINKS, 6) of the joints
@@ -46,7 +48,7 @@ JACOBIAN = 20  # (6, n) of the tip at the start
 JACOBIANS = 21  # (POINTS, 3, n) linear, of the guarded points
 PLACES = 22  # (POINTS, 3) guarded points at the start [m]
 TRIALS = 23  # (POINTS, 3) at the joint positions that are tried [m]
-ERRORS = 24  # (POINTS, 3) by what the linear motion missed [m]
+ERRORS = 24  # (POINTS, 3) linearisation errors [m]
 BULGES = 25  # (POINTS,) how far paths may leave their chords [m]
 START = 26  # (3, 4) pose of the tip at the start, …
 GOAL = 27  # … of the target, …
@@ -66,7 +68,9 @@ POLYGONS = 40  # (2, certified.CORNERS, 3) of the walk
 SEARCHES = 41  # (FIXTURES, SEARCH) integers: what each fixture is and where
 SIDES = 42  # (FIXTURES, SIDE) numbers of each fixture
 REPORT = 43  # (HEAD + 2 n,) see below
-WORDS = 44
+GUARDS = 44  # (POINTS, GUARD) numbers of each guarded point
+BODY_TABLE = 45  # (BODIES, BODY) integers: what is guarded beside the tip
+WORDS = 46
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -76,7 +80,7 @@ DAMPING = 3  # [m²]
 GAIN = 4  # [N/m]
 CAP = 5  # [N]
 TIP_REACH = 6  # the tip's longest step [m]
-GUARDED = 7  # 1: a fixture promises something of the path
+GUARDED = 7  # 1: a fixture certifies the path and not only its end
 ASKED = 8  # motion sphere that the fixtures ask for [m]; 0: none does
 SAGITTA = 9  # what a step at full speed leaves its chord by [m]
 BEYOND = 10  # the ball searched reaches that far beyond the motion sphere [m]
@@ -84,9 +88,9 @@ BEYOND = 10  # the ball searched reaches that far beyond the motion sphere [m]
 RADIUS = 11  # of the motion sphere [m]
 SEARCHED = 12  # ball searched [m]
 REACH = 13  # ball that the planes are valid in [m]
-ALLOWED = 14  # what is allowed of the motion sphere [m]
-FARTHEST = 15  # what path and step must keep to [m]
-LONGEST = 16  # step of the tip [m]
+ALLOWED = 14  # radius of the part of the motion sphere that the planes are valid in [m]
+FARTHEST = 15  # the path must stay within this distance of its start [m]
+LONGEST = 16  # the longest step of the tip [m]
 DISTANCE = 17  # of the nearest plane's foot [m]
 DEFICIT = 18  # to the standoff, the worst [m]
 PACED = 19  # share of the solver's step that fits into a tick
@@ -103,7 +107,7 @@ TASK = 0  # six rows
 LOWER, UPPER = 6, 7  # bounds of the step of this tick
 LOWEST, HIGHEST = 8, 9  # position limits
 SPEED = 10  # the longest step in a tick
-HORIZON = 11  # and as far as the optimum is sought
+HORIZON = 11  # bound on the step of the unconstrained optimum: `LOOK_AHEAD` ticks
 TURNS = 12  # 1 for a revolute joint, else 0
 POSITION = 13  # q
 TRIAL = 14  # joint positions that are tried
@@ -123,11 +127,26 @@ KEEPS = 11  # 1: a checked step stays on its side
 SEARCH = 12
 
 # Numbers of a fixture.
-SEEN = 0  # three numbers: where in its frame the tip is of which the side is known [m]; nan: none
+SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none
 WITHIN = 3  # 1: inside there, 0: outside
 SIDE = 4
 
-# REPORT: what became of a tick. `REPORTED_Q` and `REPORTED_LIMITS` are (n,) each, then the planes.
+# Numbers of a guarded point.
+ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`
+THICKNESS = 4  # radius of what is around it [m]
+STEP_RADIUS = 5  # how far it can go in a tick [m]
+BALL = 6  # ball searched around it [m]
+PATH_LIMIT = 7  # its path must stay within this distance of its start [m]
+STEP_LIMIT = 8  # its longest step [m]
+TWIN = 9  # 1: the end of an axis, whose planes the point before it has too
+GUARD = 10
+
+# What a body is: the points at the start and the end of its axis (equal for a ball), the number of
+# its capsule, and the point at the centre of its trocar zone, −1: there is none.
+FIRST, SECOND, NUMBER, CENTRE = 0, 1, 2, 3
+BODY = 4
+
+# REPORT: results of a tick. Behind HEAD: joint positions (n,), limits (n,), then the planes.
 REPORT_STATUS, REPORT_SOLVER, REPORT_RADIUS, REPORT_ALLOWED, REPORT_DISTANCE = 0, 1, 2, 3, 4
 REPORT_MARKS = 5  # four times [s]
 REPORT_FORCE = 9  # three numbers [N]
@@ -135,12 +154,12 @@ REPORT_TIP = 12  # (3, 4)
 HEAD = 24
 
 
-# What a fixture is to the kernels (KIND).
-GIVEN = 0  # Python gives its planes
+# Kinds of fixtures (KIND).
+GIVEN = 0  # its planes are computed in Python
 MESH = 1  # a tree of triangles, certified
 WALLED = 2  # a corridor
 
-# Where a tick goes on. What only Python can answer it asks by the phase to go on with.
+# Phases of a tick. It asks Python a question by the phase to continue with when it is answered.
 BEGIN = 0
 PLACED = 1  # asked: START and JACOBIAN
 SIDED = 2  # asked: WITHIN of every fixture
@@ -148,14 +167,14 @@ FOUND = 3  # asked: the planes of all fixtures, COUNT and REACH
 SOLVED = 4  # asked: the solution of the problem in SCRATCH
 TRIED = 5  # asked: TIP for the joints at TRIAL
 JUDGED = 6  # asked: whether the step to TRIALS leads out
-# Other answers: a tick that is done answers the number of its planes, 0 or more.
-NO_TARGET = 7  # the target is of no use
-NO_JOINTS = 8  # the joint positions are of no use
-DONE = 9  # not an answer: there is nothing more to try
+# Other results: a tick that is done returns the number of its planes, 0 or more.
+NO_TARGET = 7  # the target is not usable
+NO_JOINTS = 8  # the joint positions are not usable
+DONE = 9  # only within the tick: there is nothing more to try
 
 # Which step a tick tries (STAGE).
 WHOLE = 0  # the optimum, shortened to what fits into a tick
-RELAXED = 1  # the same, but nothing is asked for: it was more than the joints can do
-SHORTER = 2  # a little less of it
-CORRECTED = 3  # the optimum with rows moved by the linearisation error just seen
+RELAXED = 1  # the same without recovery, which was more than the joints can do
+SHORTER = 2  # a shorter part of it
+CORRECTED = 3  # the optimum with rows moved by the linearisation error just measured
 PART = 4  # by bisection

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf.layout import CAPSULE, FIXTURE, FLOOR, FOOT, NORMAL, OFFSET, RULE, TRIANGLE
+from vf.layout import CAPSULE, FIXTURE, FLOOR, FOOT, NORMAL, OFFSET, POINT, RULE, TRIANGLE
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -29,6 +30,16 @@ def checked_point(x: ArrayLike) -> FloatArray:
     if not (abs(p[0]) <= LARGEST and abs(p[1]) <= LARGEST and abs(p[2]) <= LARGEST):
         raise ValueError(f"a point must be within ±{LARGEST:g} m of the origin, got {x!r}")
     return p
+
+
+def checked_ends(x: ArrayLike) -> FloatArray:
+    """x as (3,) or, for the ends of an axis, (2, 3) float64; ValueError as `checked_point`."""
+    p = np.asarray(x, dtype=np.float64)
+    if p.shape == (2, 3):
+        for end in p:
+            checked_point(end)
+        return p
+    return checked_point(x)
 
 
 def checked_length(name: str, value: float, positive: bool = False) -> float:
@@ -63,6 +74,8 @@ class Rule(IntEnum):
 class Planes:
     """Half-spaces n·y ≥ o on the centre y of the tool tip, in the frame of the mesh.
 
+    A plane of a capsule holds for both ends of its axis.
+
     Attributes:
         normals: (m, 3) unit vectors to the allowed side.
         offsets: (m,) [m].
@@ -77,6 +90,8 @@ class Planes:
         capsules: (m,) number of the body of the instrument that a plane holds, 0: the tip; None:
             all of them the tip.
         fixtures: (m,) number of the controller's fixture that a plane is of; None: of one alone.
+        of_axis: (m,) whether a plane holds the ends of its capsule's axis, and not the centre of
+            the tip, from which the first capsule's axis may end apart; None: none does.
     """
 
     normals: FloatArray
@@ -88,6 +103,7 @@ class Planes:
     floors: FloatArray | None = None
     capsules: IntArray | None = None
     fixtures: IntArray | None = None
+    of_axis: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -103,6 +119,16 @@ class Planes:
         """Signed room n·y − o of a tip centre y (3,) at every plane, (m,) [m]."""
         return self.normals @ y - self.offsets
 
+    def of_tip(self) -> Planes:
+        """Those that hold the centre of the tip alone."""
+        if self.of_axis is None or not self.of_axis.any():
+            return self
+        kept = ~self.of_axis
+        arrays: dict[str, Any] = {
+            name: array[kept] for name, array in vars(self).items() if isinstance(array, np.ndarray)
+        }
+        return replace(self, **arrays)
+
 
 def planes_of(records: FloatArray, radius: float) -> Planes:
     """Planes valid in `radius` [m] from their records (m, PLANE), as arrays of their own."""
@@ -117,6 +143,7 @@ def planes_of(records: FloatArray, radius: float) -> Planes:
         records[:, FLOOR].copy(),
         whole[:, 2].copy(),
         whole[:, 3].copy(),
+        records[:, POINT] > 0.0,
     )
 
 

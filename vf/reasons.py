@@ -1,7 +1,7 @@
 """Why each triangle near the tool gave a plane, or was passed over: by both rules, in numbers.
 
-Nothing here steers anything. It walks the conditions a second time, triangle by triangle and
-apart from the kernels that choose the planes, and keeps what they throw away: the reasons.
+Nothing here affects the control. The conditions are evaluated a second time, triangle by triangle
+and independent of the kernels that choose the planes, and the reasons are kept.
 """
 
 from __future__ import annotations

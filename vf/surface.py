@@ -18,10 +18,10 @@ from vf.tree.within import closest_points, within_ball
 
 
 class _Compiled:
-    """The kernels of single questions, compiled for fixed types when the first is asked.
+    """The kernels of single queries, compiled for fixed types at the first use.
 
-    Numba looks at every argument of every call; for a kernel of a few microseconds that takes as
-    long as a third of its work. Nobody looks here: the callers see to types and contiguous arrays.
+    Numba checks every argument of every call, a third of the time of a kernel of microseconds.
+    Functions compiled here are not checked: the callers guarantee types and contiguous arrays.
     """
 
     @cached_property
@@ -39,7 +39,7 @@ _COMPILED = _Compiled()
 class Contacts:
     """Triangles cut by a closed ball, one row each, in no particular order.
 
-    Which they are is found at once; where they are closest, when that is first asked for.
+    Closest points, features and distances are computed at their first use.
 
     Attributes:
         triangles: (k,) faces, the caller's indices.
@@ -120,8 +120,8 @@ class Surface:
             self.vertices, self.faces, self.normals, self.neighbours, self.edges, *self.tree
         ):  # fmt: skip
             array.flags.writeable = False
-        # Where `nearest` looks first. Threads may overwrite each other's: it makes an answer
-        # quicker, never another.
+        # The row that `nearest` tests first. Threads may overwrite each other's: it changes how
+        # long an answer takes, never the answer.
         self._guess = -1
 
     @staticmethod
@@ -209,7 +209,7 @@ class Surface:
             checked_point(x)
         tree, guess = self.tree, self._guess
         distance, row = _COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
-        if row == UNFINISHED:  # a point that has much of the surface at the same distance
+        if row == UNFINISHED:  # much of the surface is at the same distance
             distance, row = nearest_face_freely(tree[0], tree[1], point, float(limit), guess)
         if row < 0:
             return np.inf, -1, checked_point(x)
@@ -253,10 +253,10 @@ class Surface:
     def inside(self, x: ArrayLike) -> bool:
         """Whether x (3,) is inside: |winding number| of 1, and only if the surface is closed.
 
-        An open surface has no inside to be sure of (a vessel's lumen is free space), so there the
-        answer is False and the fixtures guard it from both sides. Nor does a winding number of 2
-        say so: it is that of the cavity of a hollow body whose inner shell is wound outwards too,
-        as scanners export it, and of what two bodies have in common.
+        An open surface has no defined inside (a vessel's lumen is free space), so there the answer
+        is False and the fixtures guard it from both sides. A winding number of 2 is not inside
+        either: the cavity of a hollow body whose inner shell is wound outwards too, as scanners
+        export it, has it, and so has the intersection of two bodies.
         """
         return self.closed and 0.5 < abs(self.winding(x)) < 1.5
 

@@ -23,11 +23,10 @@ USAGE_ERROR = 2
 INTERRUPTED = 130
 COMMANDS = {
     "bench": "Measure: run time, other libraries, the control thread, the page, files, an hour of "
-    "it all.",
+    "operation.",
     "experiment": "The paper's experiments with a simulated operator: tracing, cutting, power, "
     "replay.",
-    "mesh": "Look after meshes: list the catalogue, check a file, repair it, make one from a "
-    "volume.",
+    "mesh": "Meshes: list the catalogue, check a file, repair it, make one from a volume.",
     "replay": "Repeat a recorded session without page and clock, compare it bit for bit, write it "
     "as CSV.",
     "study": "Many simulated trials over a grid of operators, skulls, rules and noise, on Dask.",

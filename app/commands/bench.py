@@ -1,4 +1,4 @@
-"""Measure: run time, other libraries, the control thread, the page, files, an hour of it all."""
+"""Measure: run time, other libraries, the control thread, the page, files, an hour of operation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from importlib import import_module
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
 from app.bench.tools.settings import Loop, Meshes, Peers, Runtime, Soak, View
 from app.bench.tools.watcher import NoBrowser
@@ -59,12 +58,7 @@ def _run(
     work: Callable[[Callable[[str], None], Callable[[float], None]], dict[str, Any]],
 ) -> dict[str, Any]:
     """Run the work with a progress bar."""
-    with progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        refresh=2,  # drawing competes with the measured code
-    ) as shown:
+    with progress(refresh=2) as shown:  # drawing competes with the measured code
         bar = shown.add_task("starting", total=1.0)
 
         def say(text: str) -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from app.commands import interrupted
 from app.console import Column, count, progress, show_table
@@ -147,9 +146,7 @@ def _shown(trials: list[Trial]) -> list[Outcome]:
     from app.studies.experiments import protocol
 
     outcomes: list[Outcome] = []
-    with contextlib.suppress(KeyboardInterrupt), progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-    ) as bar:  # fmt: skip
+    with contextlib.suppress(KeyboardInterrupt), progress(counted=True) as bar:
         task = bar.add_task("preparing", total=len(trials))
         for trial in trials:
             bar.update(task, description=f"trial {trial.number + 1}, rule {trial.rule}")

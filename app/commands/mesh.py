@@ -1,4 +1,4 @@
-"""Look after meshes: list the catalogue, check a file, repair it, make one from a volume."""
+"""Meshes: list the catalogue, check a file, repair it, make one from a volume."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from app.commands import interrupted
 from app.console import console as new_console
@@ -39,7 +38,7 @@ class List(Checked):
 
 @dataclass(frozen=True)
 class Check(Checked):
-    """Say what is wrong with a mesh, and what it means for the fixtures.
+    """Report the defects of a mesh, and what they mean for the fixtures.
 
     Exit code 0: sound; 1: it has defects; 2: it could not be read."""
 
@@ -65,7 +64,7 @@ class Check(Checked):
 
 @dataclass(frozen=True)
 class Repair(Checked):
-    """Weld, drop what is no face, turn what is wound wrongly; nothing is moved, no hole filled.
+    """Weld, drop degenerate and duplicate faces, correct the winding; no vertex is moved.
 
     Exit code 0: written; 1: written, but something could not be repaired; 2: nothing written."""
 
@@ -283,7 +282,7 @@ def _repair(options: Repair) -> int:
     frames.chosen(options.write_frame)
     changes, triangles, unit, frame, _ = _run(options.mesh, partial(repaired, options))
     console = new_console()
-    for line in changes.lines() or ("nothing to mend",):
+    for line in changes.lines() or ("nothing to repair",):
         console.print(f"[green]✓[/] {escape(line)}", soft_wrap=True)
     for line in changes.left:
         console.print(f"[yellow]![/] left: {escape(line)}", soft_wrap=True)
@@ -361,8 +360,7 @@ def _notes() -> Iterator[None]:
 @contextmanager
 def _stages() -> Iterator[Callable[[str], None]]:
     """Shows the current stage on stderr, if that is a terminal."""
-    bar = progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with bar:
+    with progress(bar=False) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda stage: bar.update(task, description=escape(stage))
 

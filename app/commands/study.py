@@ -10,13 +10,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from app.commands import interrupted
 from app.console import Column, count, progress, show_table
@@ -163,10 +156,7 @@ def collect(
     began = perf_counter()
     done: dict[str, Outcome] = {}
     stopped: BaseException | None = None
-    with progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    ) as bar:  # fmt: skip
+    with progress(counted=True) as bar:
         task = bar.add_task("trials", total=len(trials))
 
         def keep(outcome: Outcome) -> None:

@@ -85,3 +85,53 @@ def _cross(p: Vector, q: Vector) -> Vector:
         p[2] * q[0] - p[0] * q[2],
         p[0] * q[1] - p[1] * q[0],
     )
+
+
+def distance2(a: FloatArray, b: FloatArray, triangle: FloatArray) -> Fraction:
+    """Squared distance [m²] of the closed segment ab (3,) and the closed triangle (3, 3).
+
+    Degenerate triangles and segments are allowed.
+    """
+    if meets(a, b, triangle):
+        return ZERO
+    p, q = _exact(a), _exact(b)
+    corners = [_exact(c) for c in triangle]
+    found = [_segments_distance2(p, q, corners[k], corners[(k + 1) % 3]) for k in range(3)]
+    n = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
+    if any(n):
+        # An end of the segment above the triangle's inside.
+        for end in (p, q):
+            inside = all(
+                _dot(
+                    _cross(n, _minus(corners[(k + 1) % 3], corners[k])), _minus(end, corners[k])
+                ) >= 0
+                for k in range(3)
+            )  # fmt: skip
+            if inside:
+                found.append(_dot(n, _minus(end, corners[0])) ** 2 / _dot(n, n))
+    return min(found)
+
+
+def _segments_distance2(p: Vector, q: Vector, r: Vector, s: Vector) -> Fraction:
+    """Squared distance of the segments pq and rs."""
+    found = [
+        _point_distance2(p, r, s), _point_distance2(q, r, s),
+        _point_distance2(r, p, q), _point_distance2(s, p, q),
+    ]  # fmt: skip
+    u, v, w = _minus(q, p), _minus(s, r), _minus(r, p)
+    n = _cross(u, v)
+    nn = _dot(n, n)
+    if nn != 0:
+        along_u, along_v = _dot(_cross(w, v), n) / nn, _dot(_cross(w, u), n) / nn
+        if 0 <= along_u <= 1 and 0 <= along_v <= 1:
+            found.append(_dot(w, n) ** 2 / nn)
+    return min(found)
+
+
+def _point_distance2(p: Vector, r: Vector, s: Vector) -> Fraction:
+    """Squared distance of p from the segment rs."""
+    way, w = _minus(s, r), _minus(p, r)
+    length2 = _dot(way, way)
+    share = min(max(_dot(w, way) / length2, ZERO), ONE) if length2 else ZERO
+    gap = w[0] - share * way[0], w[1] - share * way[1], w[2] - share * way[2]
+    return _dot(gap, gap)

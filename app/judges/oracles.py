@@ -16,6 +16,7 @@ from vf.kernels import njit
 FloatArray = NDArray[np.float64]
 
 OVERLAP_TOLERANCE = 1e-9  # for rounding, by which a ball may overlap a triangle [m]
+LEAK_TOLERANCE = 1e-11  # [m]
 
 
 def crossings(surface: vf.Surface, a: FloatArray, b: FloatArray) -> int:
@@ -49,12 +50,11 @@ def leaks(
     x: FloatArray,
     radius: float,
     tip_radius: float = 0.0,
-    tolerance: float = 1e-11,
 ) -> int:
     """Number of triangles with a point in the ball strictly on the allowed side of every plane.
 
     The ball is enlarged and the planes are moved back by the tip's radius. "In the ball" and
-    "strictly" mean by more than `tolerance` [m].
+    "strictly" mean by more than `LEAK_TOLERANCE`.
     """
     p = np.asarray(x, dtype=np.float64)
     reach = radius + tip_radius
@@ -62,7 +62,7 @@ def leaks(
     return int(
         _count_leaks(
             surface.vertices, surface.faces, near, planes.normals, planes.offsets - tip_radius,
-            p, reach, tolerance,
+            p, reach, LEAK_TOLERANCE,
         )
     )  # fmt: skip
 

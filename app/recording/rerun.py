@@ -41,14 +41,12 @@ def rerun(
     recording: Recording,
     mesh: str | None = None,
     path: str | None = None,
-    progress: Progress | None = None,
 ) -> Iterator[tuple[int, Telemetry, bool]]:
     """Run a new engine with the recorded orders, each for as many ticks as it was in force.
 
     Args:
         mesh: present path of the mesh, for all scenes; None: the recorded one.
         path: likewise, of the planned path.
-        progress: called with a short text before each step of building a scene.
 
     Yields:
         For each row of the recording the row of its orders, the telemetry, and whether it ticked.
@@ -73,7 +71,7 @@ def rerun(
                 where, options = recording.plants[index]
                 if where != place or scene is None:
                     place = where
-                    scene = build(recording.places[where], where + 1, mesh, path, progress)
+                    scene = build(recording.places[where], where + 1, mesh, path)
                 course = recording.courses[index]
                 room = scene if course is None else replace(scene, autopilot=course)
                 plant = scenes.plant(room, options)
@@ -157,19 +155,18 @@ def first_difference(
     recording: Recording,
     mesh: str | None = None,
     path: str | None = None,
-    progress: Progress | None = None,
     repeated: Callable[[int], None] = lambda _rows: None,
 ) -> Difference | None:
     """Repeat a recording and compare every column of `COMPARED` bit for bit; None: all equal.
 
     Args:
-        mesh, path, progress: as in `rerun`, which also says what is raised.
+        mesh, path: as in `rerun`, which also says what is raised.
         repeated: called with the number of equal rows so far.
     """
     table = np.zeros(CHUNK, dtype=ROWS)
     before = None
     filled = start = 0
-    for order, telemetry, ticked in rerun(recording, mesh, path, progress):
+    for order, telemetry, ticked in rerun(recording, mesh, path):
         fill(table, filled, order, telemetry, ticked, before)
         before = telemetry.step
         filled += 1

@@ -27,7 +27,6 @@ class Bodies:
 
     Attributes:
         patches: ``(k,)`` their numbers in the `Topology`.
-        volumes: ``(k,)`` [m³], negative where the faces look inwards.
         outermost: ``(k,)`` row of the outermost body that encloses each one; its own row if none.
         in_open: ``(k,)`` whether that outermost body lies inside a shell with boundary or
             non-manifold edges.
@@ -42,7 +41,6 @@ class Bodies:
     """
 
     patches: IntArray
-    volumes: FloatArray
     outermost: IntArray
     in_open: Flags
     inside_out: Flags
@@ -76,7 +74,7 @@ def bodies(vertices: FloatArray, faces: IntArray, topology: Topology) -> Bodies:
     shells[open_] = count + number
     if count == 0 or count + len(names) == 1:
         return Bodies(
-            patches, volumes, np.arange(count), np.zeros(count, dtype=bool), volumes < 0.0, along,
+            patches, np.arange(count), np.zeros(count, dtype=bool), volumes < 0.0, along,
             float(np.abs(volumes).sum()),
         )  # fmt: skip
     rays = _Rays(vertices, faces, shells)
@@ -84,7 +82,7 @@ def bodies(vertices: FloatArray, faces: IntArray, topology: Topology) -> Bodies:
         return _nested(rays, topology, patches, volumes, along, bool(open_.any()))
     except probe.WorkLimit:
         no = np.zeros(count, dtype=bool)
-        return Bodies(patches, volumes, np.arange(count), no, no, along, float("nan"), known=False)
+        return Bodies(patches, np.arange(count), no, no, along, float("nan"), known=False)
 
 
 def _nested(
@@ -114,7 +112,7 @@ def _nested(
         loose = np.flatnonzero(~topology.closed)
         own = np.flatnonzero(inside_out & (outermost == np.arange(count)))
         along[loose] = rays.inside(loose, topology.patches, own)
-    return Bodies(patches, volumes, outermost, in_open, inside_out, along, float(enclosed))
+    return Bodies(patches, outermost, in_open, inside_out, along, float(enclosed))
 
 
 class _Rays:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from meshes.content import Content
-from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
+from meshes.formats import freesurfer, gifti, glb, gltf, obj, off, ply, stl, threemf, vtk, vtp
+from meshes.packed import MAGIC
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,14 @@ class Format:
 
 
 FREESURFER = ("pial", "white", "orig", "smoothwm", "inflated")
+_SCENE: Any = {"opens_others": True, "shares_vertices": False, "in_metres": True}
 TABLE = (
     Format("STL", ("stl",), stl.read, stl.write, shares_vertices=False),
     Format("OBJ", ("obj",), obj.read, obj.write),
     Format("PLY", ("ply",), ply.read, ply.write),
     Format("OFF", ("off",), off.read, off.write),
-    Format("GLB", ("glb",), gltf.read_glb, gltf.write_glb, True, False, True),
-    Format("glTF", ("gltf",), gltf.read, None, True, False, True),
+    Format("GLB", ("glb",), glb.read, glb.write, **_SCENE),
+    Format("glTF", ("gltf",), gltf.read, **_SCENE),
     Format("3MF", ("3mf",), threemf.read),
     Format("VTP", ("vtp",), vtp.read),
     Format("legacy VTK", ("vtk",), vtk.read),
@@ -57,7 +59,7 @@ WRITABLE = tuple(end for end, entry in BY_END.items() if entry.write)
 """Ends of the names of the files that `meshes.save` writes."""
 
 _SIGNATURES = (  # first bytes in lower case, description, ends of the formats that may begin so
-    (b"\x1f\x8b", "packed with gzip: its name should end in .gz", ()),
+    (MAGIC, "packed with gzip: its name should end in .gz", ()),
     (b"\xff\xff\xfe", "a FreeSurfer surface", FREESURFER),
     (b"pk\x03\x04", "a zip archive (as 3MF is)", ("3mf",)),
     (b"gltf", "binary glTF", ("glb",)),

@@ -103,7 +103,7 @@ def test_first_use_is_announced_and_later_ones_are_quick(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make = Maker()
-    entry = Entry("slow", "Slow", cache.cached("slow", make), "here", "none", "Slow.", None, "slow")
+    entry = Entry("slow", cache.cached("slow", make), "here", "none", "Slow.", None, "slow")
     monkeypatch.setattr(sys.modules["meshes.load"], "catalogue", lambda: {"slow": entry})
     for uses in (1, 2):
         said: list[str] = []

@@ -63,7 +63,6 @@ def test_names_are_the_full_set() -> None:
     assert tuple(meshes.catalogue())[: len(meshes.names())] == meshes.names()
     for name, entry in meshes.catalogue().items():
         assert entry.name == name
-        assert entry.title
         assert entry.source
         assert entry.licence
         assert entry.about.endswith(".")

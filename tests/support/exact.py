@@ -41,14 +41,15 @@ def leaking(
 ) -> np.ndarray:
     """Which of the triangles (m, 3, 3) break point 2 of the statement in docs/certified.md: exact.
 
-    They have a point within planes.radius + tip radius of x that is strictly behind no plane moved
-    back by the tip's radius.
+    They have a point within planes.radius + tip radius of x (3,), or of an axis x (2, 3), that is
+    strictly behind no plane moved back by the tip's radius.
     """
     x = np.asarray(x, dtype=np.float64)
     size = float(max(np.abs(triangles).max(), np.abs(x).max()))
     reach = planes.radius + tip_radius
     # A box farther away than the ball, or three corners well behind one plane.
-    off = np.maximum(np.maximum(triangles.min(axis=1) - x, x - triangles.max(axis=1)), 0.0)
+    low, high = np.atleast_2d(x).min(axis=0), np.atleast_2d(x).max(axis=0)
+    off = np.maximum(np.maximum(triangles.min(axis=1) - high, low - triangles.max(axis=1)), 0.0)
     open_ = np.linalg.norm(off, axis=1) <= reach * (1.0 + 1e-9) + 1e-12 * size
     rows = np.flatnonzero(open_)
     if len(planes):
@@ -116,7 +117,38 @@ def uncovered(
     part += part[-1:] * (3 - len(part))
     fan = [[part[0], p, q] for p, q in pairwise(part[1:])]
     reach = fraction(planes.radius) + rho
+    if np.ndim(x) == 2:
+        return min(_axis_distance2(_exact(x[0]), _exact(x[1]), one) for one in fan) <= reach * reach
     return min(exact_closest(one, _exact(x))[1] for one in fan) <= reach * reach
+
+
+def axis_distance2(a: np.ndarray, b: np.ndarray, triangle: np.ndarray) -> Fraction:
+    """Squared distance of the closed segment ab (3,) and the closed triangle (3, 3), any kind."""
+    return _axis_distance2(_exact(a), _exact(b), [_exact(corner) for corner in triangle])
+
+
+def _axis_distance2(p: Point, q: Point, corners: list[Point]) -> Fraction:
+    """The least of the ends' distances, those of the edges, and 0 where they meet."""
+    n = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
+    above, below = (_dot(n, _minus(end, corners[0])) for end in (p, q))
+    found = [exact_closest(corners, p)[1], exact_closest(corners, q)[1]]
+    if above * below < 0:
+        share = above / (above - below)
+        on_plane = [i + share * (j - i) for i, j in zip(p, q, strict=True)]
+        found.append(exact_closest(corners, on_plane)[1])
+    for r, s in combinations(corners, 2):
+        # Ends of the one and insides of the other, both ways round, and the two insides.
+        flat = [[r, s, s], [p, q, q]]
+        found += [exact_closest(flat[0], end)[1] for end in (p, q)]
+        found += [exact_closest(flat[1], end)[1] for end in (r, s)]
+        u, v, w = _minus(q, p), _minus(s, r), _minus(r, p)
+        m = _cross(u, v)
+        size = _dot(m, m)
+        if size:
+            one, other = _dot(_cross(w, v), m) / size, _dot(_cross(w, u), m) / size
+            if 0 <= one <= 1 and 0 <= other <= 1:
+                found.append(_dot(w, m) ** 2 / size)
+    return min(found)
 
 
 def passages(

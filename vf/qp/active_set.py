@@ -1,6 +1,7 @@
 """The kernels of `vf.qp.least_squares`: which rows can matter, and the active set of the optimum.
 
-They work in one scratch array, cut up by `carve`: a call from Python pays for every array it names.
+They share one scratch array, divided by `carve`: every array argument of a call from Python costs
+time.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from vf.planes import FloatArray
 from vf.qp.solver import Solver
 
 EXTRA = 4  # numbers a row takes in the scratch besides its n coefficients
-# What `reduce` answers where there are no rows to look at.
+# What `reduce` returns where no rows are left to consider.
 FREE_ROWS, NO_WAY = 0, -1
 CHANGES = 4  # of the active rows that `settle` may make, for each joint
 FREE, SOLVED, INFEASIBLE = int(Solver.FREE), int(Solver.SOLVED), int(Solver.INFEASIBLE)
@@ -72,7 +73,7 @@ def answer(scratch, n):  # type: ignore[no-untyped-def]
 
 
 def left_over(scratch: FloatArray, n: int, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What `attempt` left for a solver: u* (n,), rows (count, n) and bounds (count,)."""
+    """The problem that `attempt` left for a solver: u* (n,), rows (count, n), bounds (count,)."""
     b = n * n + 3 * n
     c = b + row_count.py_func(scratch, n) * n
     return (
@@ -85,13 +86,14 @@ def left_over(scratch: FloatArray, n: int, count: int) -> tuple[FloatArray, Floa
 @njit(cache=True)
 def reduce(  # type: ignore[no-untyped-def]
     J, d, damping, G, b, lower, upper, pace, m,
-    factor, best, rows, bounds, scales, origin, dq,
+    factor, best, rows, bounds, scales, origin, dq, inverse, norms, middles,
 ):  # fmt: skip
     """Factor, unconstrained optimum and how many rows matter.
 
     FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows. The factor's diagonal holds
     reciprocals: a division takes as long as several products.
 
+    `inverse` (n, n), `norms` and `middles` (n,) are working memory.
     `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
     """
     k, n = J.shape
@@ -150,31 +152,16 @@ def reduce(  # type: ignore[no-untyped-def]
         best[j] *= 1e3
         length += best[j] * best[j]
     # Where a row asks for motion (b > 0) zero is infeasible; the ball is widened by a generous
-    # multiple of that motion instead of being placed exactly. What slips out, `verify` catches.
+    # multiple of that motion instead of being placed exactly. A row wrongly left out is caught by
+    # the check of the step.
     half = 0.5 * np.sqrt(length) + 8.0 * 1e3 * highest
     count = 0
-    for i in range(m + 2 * n):
-        if i < m:
-            for j in range(n):
-                h = G[i, j]
-                for r in range(j):
-                    h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h * factor[j, j]
-            bound = b[i]
-            origin[count] = i
-        else:
-            c = (i - m) % n
-            sign = 1.0 if i < m + n else -1.0
-            for j in range(c):
-                rows[count, j] = 0.0
-            rows[count, c] = sign * factor[c, c]
-            for j in range(c + 1, n):
-                h = 0.0
-                for r in range(c, j):
-                    h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h * factor[j, j]
-            bound = lower[c] if sign > 0.0 else -upper[c]
-            origin[count] = -1 - (i - m)
+    for i in range(m):
+        for j in range(n):
+            h = G[i, j]
+            for r in range(j):
+                h -= factor[j, r] * rows[count, r]
+            rows[count, j] = h * factor[j, j]
         norm = 0.0
         middle = 0.0
         for j in range(n):
@@ -182,19 +169,55 @@ def reduce(  # type: ignore[no-untyped-def]
             middle += rows[count, j] * best[j]
         norm = np.sqrt(norm)
         if norm < 1e-12:  # no joint moves the tip along this normal
-            if bound > 0.0:
+            if b[i] > 0.0:
                 return NO_WAY
             continue
-        bound *= 1e3 / norm
+        bound = b[i] * (1e3 / norm)
         if 0.5 * middle / norm - half > bound + 1e-9:
             continue
         for j in range(n):
             rows[count, j] /= norm
         bounds[count] = bound
         scales[count] = norm
+        origin[count] = i
         count += 1
+    # Bounds of the joints: the rows of lower and upper bounds differ in sign only.
+    for c in range(n):
+        for j in range(c):
+            inverse[c, j] = 0.0
+        inverse[c, c] = factor[c, c]
+        for j in range(c + 1, n):
+            h = 0.0
+            for r in range(c, j):
+                h -= factor[j, r] * inverse[c, r]
+            inverse[c, j] = h * factor[j, j]
+        norm = 0.0
+        middle = 0.0
+        for j in range(n):
+            norm += inverse[c, j] * inverse[c, j]
+            middle += inverse[c, j] * best[j]
+        norms[c] = np.sqrt(norm)
+        middles[c] = middle
+    for side in range(2):
+        sign = 1.0 - 2.0 * side
+        for c in range(n):
+            bound = lower[c] if side == 0 else -upper[c]
+            norm = norms[c]
+            if norm < 1e-12:
+                if bound > 0.0:
+                    return NO_WAY
+                continue
+            bound *= 1e3 / norm
+            if 0.5 * sign * middles[c] / norm - half > bound + 1e-9:
+                continue
+            for j in range(n):
+                rows[count, j] = sign * inverse[c, j] / norm
+            bounds[count] = bound
+            scales[count] = norm
+            origin[count] = -1 - c - n * side
+            count += 1
     if count == 0:
-        # Only rounding stood between the unconstrained optimum and its bounds.
+        # The unconstrained optimum misses its bounds by rounding only.
         for j in range(n):
             dq[j] = min(max(dq[j], lower[j]), upper[j])
     return count
@@ -234,11 +257,11 @@ def mark_worst(best, rows, bounds, count, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def settle(best, rows, bounds, count, changes, x, y, scratch):  # type: ignore[no-untyped-def]
-    """Project u* on the active rows (y < 0), all at once, and take that if it is the optimum.
+    """Project u* on the active rows (y < 0) together; True: that is the optimum, written to x, y.
 
-    It is when it obeys every row and every multiplier has the right sign; then x and y are exact
-    and the answer is True. Otherwise up to `changes` times a row with a multiplier of the wrong
-    sign leaves the active ones, or else the most broken row joins them.
+    It is if it obeys every row and every multiplier has the right sign. Otherwise, up to `changes`
+    times, a row with a multiplier of the wrong sign is removed from the active ones, or else the
+    most violated row is added.
     """
     n = best.shape[0]
     gram, c, u, active = carve_rest(scratch, n)
@@ -270,7 +293,7 @@ def settle(best, rows, bounds, count, changes, x, y, scratch):  # type: ignore[n
                 for r in range(b):
                     h -= gram[a, r] * gram[b, r]
                 gram[a, b] = h if a == b else h / gram[b, b]
-            if gram[a, a] < 1e-10:  # depends on those before it: they speak for it
+            if gram[a, a] < 1e-10:  # linearly dependent on those before it
                 k -= 1
                 for b in range(a, k):
                     active[b] = active[b + 1]
@@ -320,17 +343,21 @@ def settle(best, rows, bounds, count, changes, x, y, scratch):  # type: ignore[n
 
 @njit(cache=True)
 def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """All that can be had without a solver for the first m rows of G: how, and rows left for one.
+    """Solve for the first m rows of G without a solver if possible: how, and rows left for one.
 
     The answer is `dq` of the scratch and `multipliers`, written from the start.
     """
     n = J.shape[1]
     factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
-    multipliers[:m] = 0.0
-    dq[:] = 0.0
+    inverse, norms, middles, _ = carve_rest(scratch, n)
+    for i in range(m):
+        multipliers[i] = 0.0
+    for j in range(n):
+        dq[j] = 0.0
     count = reduce(
-        J, d, damping, G, b, lower, upper, pace, m, factor, best, rows, bounds, scales, origin, dq
-    )
+        J, d, damping, G, b, lower, upper, pace, m, factor, best, rows, bounds, scales, origin, dq,
+        inverse, norms, middles,
+    )  # fmt: skip
     if count == FREE_ROWS:
         return FREE, 0
     if count == NO_WAY:
@@ -349,7 +376,7 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
 
 @njit(cache=True)
 def finish(u, duals, count, lower, upper, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """A solver's answer made exact by its active set, and taken back to the joints; whether it is.
+    """Make a solver's answer exact by its active set and convert it to joints; whether it is exact.
 
     Args:
         u, duals: (n,), (≥ count,), see `vf.qp.solver.Backend`.

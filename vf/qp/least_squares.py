@@ -3,18 +3,18 @@
     minimise over Δq   ½ ‖J Δq − d‖² + ½ λ ‖Δq‖²
     subject to         G Δq ≥ b,   lower ≤ Δq ≤ upper
 
-What a solver is given is the same problem in coordinates where it is easy: with L Lᵀ = JᵀJ + λI and
+A solver is given the same problem in coordinates where it is simple: with L Lᵀ = JᵀJ + λI and
 u = Lᵀ Δq the objective becomes the distance to a point, ½ ‖u − u*‖². Rows are scaled to unit
 length and u is in millimetres, so that a solver's tolerances and step sizes mean the same on any
-arm in any pose. Three things follow from this shape:
+arm in any pose. Two things follow from this form:
 
 - If u* obeys every row it is the answer, and no solver is asked. If it does not, it is projected on
-  the row it breaks most, which nine times in ten is the answer: nine contacts in ten are of one
-  plane. Else a few rows more join those it is projected on, or leave them: an answer that obeys all
-  rows with multipliers of the right sign is exact. The same projection, on the rows that the solver
+  the row it violates most, which in nine contacts of ten is the answer: one plane is active. Else
+  rows are added to those it is projected on, or removed: an answer that obeys all rows with
+  multipliers of the right sign is exact. The same projection, on the rows that the solver
   found active, turns its answer into the exact one.
 - If u = 0 is feasible, the answer lies in the ball with the diameter [0, u*]. Rows that hold
-  throughout that ball are left out: of dozens of planes a handful reach the solver.
+  throughout that ball are left out: of dozens of planes a few are left for the solver.
 
 Every solve starts anew with the same settings, so the answer depends on the problem alone.
 """

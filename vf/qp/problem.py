@@ -10,7 +10,17 @@ from __future__ import annotations
 import numpy as np
 
 from vf.kernels import njit
-from vf.layout import FLOOR, FOOT, NORMAL, OFFSET, POINT, RULE
+from vf.layout import (
+    FLOOR,
+    FOOT,
+    NORMAL,
+    OFFSET,
+    PATH_LIMIT,
+    POINT,
+    RULE,
+    STEP_LIMIT,
+    THICKNESS,
+)
 from vf.planes import Rule
 
 # Reject targets farther than this from the base [m].
@@ -20,7 +30,7 @@ JOINT_RANGE = 1e4
 # Rows are tightened by this against the planes that are verified, ten times OSQP's tolerance, so
 # that a tick in contact does not miss by rounding [m].
 TIGHTENING = 1e-6
-# Share of what is missing to the standoff that a tick wins back.
+# Share of the deficit to the standoff that a tick recovers.
 RECOVERY = 0.5
 SWEEPS = 16
 EXIT = int(Rule.EXIT)
@@ -28,7 +38,7 @@ EXIT = int(Rule.EXIT)
 
 @njit(cache=True)
 def usable(R):  # type: ignore[no-untyped-def]
-    """Whether a pose (3, 4) is one: near enough, its rotation orthonormal and right-handed."""
+    """Whether a pose (3, 4) is usable: not too far, its rotation orthonormal and right-handed."""
     for k in range(3):
         if not abs(R[k, 3]) < FARTHEST_TARGET:
             return False
@@ -111,21 +121,27 @@ def height(plane, x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def room(plane, x):  # type: ignore[no-untyped-def]
-    """How far x (3,) is in front of a plane, seen from what gave it, not from where it stands."""
+    """Distance of x (3,) to the plane through the FOOT of a plane, before it was moved."""
     return height(plane, x) - height(plane, plane[FOOT : FOOT + 3])
 
 
 @njit(cache=True)
-def fill_rows(planes, m, places, jacobians, standoff, tip_radius, rows, bounds):  # type: ignore[no-untyped-def]
+def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
-    A tool below the standoff is asked to come out by a share of what is missing. Walls closer than
-    two standoffs cannot both be obeyed, so the requests are first reconciled in the tip's space:
-    projections give a motion v, and no row asks for more than v does. Towards the farther of two
-    such walls v may go as far as its plane lets it.
+    Below the standoff, b > 0 asks for a motion that recovers a share of the deficit. Between two
+    walls less than two standoffs apart both requests cannot be met, so they are first reconciled
+    for the tip: projections give a motion v, and no row asks for more than v provides. Towards the
+    farther of two such walls v may go as far as that wall's plane allows. The same for every other
+    guarded point by itself; one that no joint moves is asked for nothing.
+
+    Args:
+        planes: records, those of a point next to each other.
+        guards: (p, GUARD) see `vf.layout`.
 
     Returns:
-        Distance of the nearest plane's foot, and the worst deficit to the standoff [m].
+        Distance of the nearest foot of a plane of the tip, and the worst deficit of any point to
+        the standoff [m].
     """
     n = rows.shape[1]
     nearest = np.inf
@@ -134,26 +150,36 @@ def fill_rows(planes, m, places, jacobians, standoff, tip_radius, rows, bounds):
         plane = planes[i]
         point = int(plane[POINT])
         x, J = places[point], jacobians[point]
-        d2 = 0.0
-        for k in range(3):
-            d2 += (x[k] - plane[FOOT + k]) ** 2
-        nearest = min(nearest, d2)
+        if point == 0:
+            d2 = 0.0
+            for k in range(3):
+                d2 += (x[k] - plane[FOOT + k]) ** 2
+            nearest = min(nearest, d2)
         for j in range(n):
             rows[i, j] = (
                 plane[NORMAL] * J[0, j] + plane[NORMAL + 1] * J[1, j] + plane[NORMAL + 2] * J[2, j]
             )
         above = height(plane, x)
         if plane[RULE] == EXIT:
-            bounds[i] = min(plane[OFFSET] - above, 0.0)  # as it is: nothing to recover from
+            bounds[i] = min(plane[OFFSET] - above, 0.0)  # nothing to recover
             continue
-        missing = height(plane, plane[FOOT : FOOT + 3]) + standoff + tip_radius - above
+        if point > 0 and not rows[i].any():
+            bounds[i] = min(plane[OFFSET] - above, 0.0)
+            continue
+        missing = (
+            height(plane, plane[FOOT : FOOT + 3]) + standoff + guards[point, THICKNESS] - above
+        )
         deficit = max(deficit, missing)
-        # A plane moved beyond the standoff is obeyed, but being on it is nothing to recover from.
+        # A plane moved beyond the standoff is obeyed, but a tip on it has no deficit.
         missing = max(missing, min(plane[OFFSET] - above, 0.0)) + TIGHTENING
         bounds[i] = RECOVERY * missing if missing > 0.0 else missing
     nearest = np.sqrt(nearest)
     if deficit + TIGHTENING > 0.0:
-        _reconcile(planes, m, places, bounds)
+        first = 0
+        for i in range(1, m + 1):
+            if i == m or planes[i, POINT] != planes[first, POINT]:
+                _reconcile(planes[first:i], i - first, places, bounds[first:i])
+                first = i
     return nearest, deficit
 
 
@@ -165,7 +191,7 @@ def _along(plane, v):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _reconcile(planes, m, places, bounds):  # type: ignore[no-untyped-def]
-    """Lower what the rows ask for to what one motion of the tip can give, see `fill_rows`."""
+    """Lower the bounds to what one motion of the tip can provide, see `fill_rows`."""
     v = np.zeros(3)
     moved = False
     for _ in range(SWEEPS):
@@ -179,8 +205,8 @@ def _reconcile(planes, m, places, bounds):  # type: ignore[no-untyped-def]
         if not moved:
             break
     if moved:
-        # No motion, or none that is found so soon, meets all requests. Averaged projections go to
-        # the middle between walls that ask for opposite things, however many planes a wall has.
+        # No motion was found that meets all requests. Averaged projections converge to the middle
+        # between walls with opposite requests, independent of how many planes a wall has.
         alike = np.ones(m)
         for i in range(m):
             for j in range(m):
@@ -206,7 +232,7 @@ def _reconcile(planes, m, places, bounds):  # type: ignore[no-untyped-def]
     for i in range(m):
         gain = _along(planes[i], v)
         if gain < min(bounds[i], 0.0):
-            # Half of the room there is, as the tip's path is not straight.
+            # Half of the space there is, as the tip's path is not straight.
             left = bounds[i]
             if left > 0.0:
                 x = places[int(planes[i, POINT])]
@@ -277,19 +303,19 @@ def farthest(J, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def obeys(planes, m, places, trials, bulges, radius, longest):  # type: ignore[no-untyped-def]
+def obeys(planes, m, places, trials, bulges, guards):  # type: ignore[no-untyped-def]
     """Whether steps from `places` to `trials` (p, 3), and their paths, keep to ball and planes.
 
     Args:
         planes: records, of which the first m count.
         bulges: (p,) how far a path may leave its chord [m].
-        radius: that the planes are valid in [m].
-        longest: a step may be [m].
+        guards: (p, GUARD) see `vf.layout`.
     """
     for p in range(places.shape[0]):
         x, y = places[p], trials[p]
         d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
-        if not (np.sqrt(d2) + bulges[p] <= radius and d2 <= longest * longest):
+        longest = guards[p, STEP_LIMIT]
+        if not (np.sqrt(d2) + bulges[p] <= guards[p, PATH_LIMIT] and d2 <= longest * longest):
             return False
     for i in range(m):
         plane = planes[i]

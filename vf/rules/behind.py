@@ -11,7 +11,12 @@ from vf.planes import ROUND
 
 @njit(cache=True, nogil=True)
 def less_of_bumps(d2, rim, far):  # type: ignore[no-untyped-def]
-    """Share of a bump that does not count at a squared distance: 1 up to `rim`, 0 from `far` on."""
+    """Share of a plane's BUMP that does not count: 1 up to the distance `rim`, 0 from `far` on.
+
+    Args:
+        d2: squared distance of what is tested to the tip's centre [m²].
+        rim, far: the tip's radius, and `NEAR` standoffs more [m].
+    """
     if d2 >= far * far:
         return 0.0
     if d2 <= rim * rim:
@@ -21,17 +26,24 @@ def less_of_bumps(d2, rim, far):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def since(seen, m):  # type: ignore[no-untyped-def]
-    """A mask of the planes seen … m − 1, of 64 at most."""
+    """A mask of the planes `seen` to m − 1; m ≤ 64."""
     if seen == m:
         return 0
     return (-1 << seen) & (-1 if m == 64 else (1 << m) - 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def box_behind(nodes, node, planes, less, near, mask):  # type: ignore[no-untyped-def]
     """Whether a node's box is wholly behind one of the planes of a mask, rounding included.
 
-    And a mask of those that a part of it is behind: the others hide nothing of what is in it.
+    Args:
+        less: share of the planes' BUMP that does not count, see `less_of_bumps`.
+        near: least bound on the rounding error of n·z [m].
+        mask: bit k set: plane k is tested.
+
+    Returns:
+        The answer, and a mask of the planes that some part of the box is behind. The other planes
+        have no triangle of the box behind them and need not be tested below this node.
     """
     cx, cy, cz = nodes[node, 0], nodes[node, 1], nodes[node, 2]
     reach = nodes[node, 3] + nodes[node, 4] + nodes[node, 5]
@@ -69,16 +81,14 @@ def rounding_of(corners, t, near):  # type: ignore[no-untyped-def]
     return max(ROUND * size, near)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-untyped-def]
-    """Whether a triangle is wholly behind one of the planes of a mask: most need no clipping.
+    """Whether a triangle is wholly behind one of the planes of a mask, as `box_behind` for a box.
 
-    And a mask of those that a part of it is behind.
+    Returns:
+        The answer, and a mask of the planes that a part of the triangle is behind.
     """
     left = 0
-    if mask == 0:
-        return False, left
-    rounding = rounding_of(corners, t, near)
     while mask != 0:
         i = lowest_bit(mask)
         bit = mask & -mask
@@ -87,7 +97,9 @@ def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-un
         h0 = nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2]
         h1 = nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5]
         h2 = nx * corners[t, 6] + ny * corners[t, 7] + nz * corners[t, 8]
-        if max(h0, h1, h2) < planes[i, at.LIMIT] - less * planes[i, at.BUMP] - rounding:
+        highest = max(h0, h1, h2)
+        limit = planes[i, at.LIMIT] - less * planes[i, at.BUMP]
+        if highest < limit and highest < limit - rounding_of(corners, t, near):
             return True, 0
         if min(h0, h1, h2) < planes[i, at.LIMIT]:
             left |= bit

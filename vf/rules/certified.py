@@ -9,6 +9,13 @@ point of the mesh in C would be in the ball and strictly behind some plane: a co
 For a tip of radius ρ read "within ρ of the segment" for "touches": the ball searched has radius
 r + ρ and "behind" is judged against o − ρ.
 
+For a capsule of radius ρ with axis [a, b] the planes have n·a ≥ o and n·b ≥ o, what is searched is
+all within r + ρ of the axis, and a step takes both ends to where they obey the planes, neither
+farther than r. While they move straight no mesh point comes within ρ of the axis: an axis point w
+is on the way a mean of a, b and their ends, so n·w ≥ o, and within r of [a, b]; a mesh point within
+ρ of w would be in front of every o − ρ and within r + ρ of [a, b]: a contradiction. ∎ A tip is the
+case a = b.
+
 In floating point: n·z of a point with coordinates up to M is known to within `ROUND`·M. Whatever
 counts as behind a plane is behind it by more than that, a plane stands in front of what is behind
 it by several times that, and the ball searched is larger by what a distance can be wrong.
@@ -26,44 +33,46 @@ from numpy.typing import ArrayLike, NDArray
 
 from vf import layout as at
 from vf.kernels import bits_as_float, float_as_bits, njit
-from vf.planes import ROUND, FloatArray, Planes, checked_length, checked_point, planes_of
+from vf.planes import ROUND, FloatArray, Planes, checked_ends, checked_length, planes_of
 from vf.rules.behind import box_behind, less_of_bumps, rounding_of, since, triangle_behind
-from vf.rules.clip import closest_on_polygon, polygon_within, remainder
+from vf.rules.clip import remainder
 from vf.rules.queue import pop, push
 from vf.rules.separate import separate
 from vf.surface import Surface
-from vf.tree.pdtree import (
-    EXACT,
-    Tree,
-    box_distance2,
-    children_of,
-    triangle_distance2,
-    triangles_of,
+from vf.tree.axis import (
+    box_gap2,
+    largest_coordinate,
+    lowest,
+    polygon_foot,
+    polygon_within,
+    triangle_gap2,
 )
+from vf.tree.pdtree import EXACT, Tree, children_of, triangles_of
 
-BUDGET = 64
-# On top of the standoff, plane number k (from 0) is moved towards x by this share of its distance,
-# times k. The nearest plane loses nothing, the next ones next to nothing, and in contact none does;
-# far facets share planes. In a bowl, where every facet would want its own, this is a third of the
-# planes and keeps the budget from being spent, for about a percent of the free space.
+BUDGET = 64  # planes that a walk may choose; masks have one bit for each
+# On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
+# distance. The nearest plane and planes in contact are not moved. Moved planes cover several far
+# facets each: in a bowl, where every facet needs a plane of its own, this is a third of the planes
+# for about a percent of the free space, and the budget lasts.
 EASE = 0.004
-# Bumps up to this share of the standoff cost no plane; the rest keeps the tool off them.
+# Parts of the mesh that stand out of the covered region by up to this share of the standoff get no
+# plane of their own (a bump); the remaining share of the standoff keeps the tool off them.
 BUMPY = 0.75
-# In full only for what is this many standoffs away, though, and nearer in proportion: in contact
-# with a shallow bowl either of two faces would be a bump of the other, and the tool would hop from
-# the plane of one to that of the other.
+# This holds in full from this many standoffs away, and closer in proportion to the distance: in
+# contact with a shallow bowl each of two faces would be a bump of the other, and the tool would
+# alternate between their planes.
 NEAR = 20.0
-# Every plane leaves the tip this much room, or a share of the room there is where that is less:
-# between two opposing planes through x itself a tool could not even slide, as no step of an arm is
-# straight and no solver exact [m]. Recovery wins it back.
+# A plane is at least this far below x [m], or YIELD_SHARE of the space to the mesh where that is
+# less: between two opposing planes through x a tool could not slide, since no step of an arm is
+# exactly straight and no solver exact. Recovery leads the tool back by it.
 YIELD = 1e-8
 YIELD_SHARE = 0.05
-# Less room than this many rounding errors is none: no plane separates x from the triangle.
+# Space of fewer rounding errors than this counts as none: no plane separates x from the triangle.
 FAINT = 64.0
-# Nodes and triangles waiting at a time. Were it spent, the ball would shrink to what is settled.
+# Capacity of the queue. When it is full, the walk ends and the radius shrinks to what is settled.
 HEAP = 4096
-SEEN = 128  # more than BUDGET
-CORNERS = BUDGET + 4  # of what is left of a triangle: each plane adds one at most
+SEEN = 128  # items of the queue count planes modulo this; more than BUDGET
+CORNERS = BUDGET + 4  # of the polygon left of a triangle: each plane adds one corner at most
 
 
 def certified_planes(
@@ -77,19 +86,20 @@ def certified_planes(
 
     Args:
         surface: any triangle soup.
-        x: (3,) centre of the tool tip [m].
-        radius: of the motion sphere: how far a step may go [m].
+        x: (3,) centre of the tool tip, or (2, 3) start and end of a capsule's axis [m].
+        radius: of the motion sphere: how far a step may go, each end of an axis [m].
         standoff: how far the planes are moved from the mesh towards x, at most up to x [m].
-        tip_radius: of the spherical cutter around x [m].
+        tip_radius: of the spherical cutter around x, or of the capsule [m].
 
     Returns:
-        Planes with n·x ≥ o. `radius` is smaller than asked for where the budget of 64 planes was
-        spent, and 0 where x lies on a triangle within rounding; the claim then holds for that ball.
+        Planes with n·x ≥ o, for both ends of an axis. `radius` is smaller than asked for where the
+        budget of 64 planes was spent, and 0 where x lies on a triangle within rounding, or an axis
+        meets one; the claim then holds for that ball.
 
     Raises:
         ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`).
     """
-    p = checked_point(x)
+    p = checked_ends(x)
     radius = checked_length("radius", radius)
     standoff = checked_length("standoff", standoff)
     tip_radius = checked_length("tip radius", tip_radius)
@@ -97,7 +107,7 @@ def certified_planes(
 
 
 class Triangles(Protocol):
-    """What the walk looks at of a `Surface`, or of a part of one."""
+    """What the walk needs of a `Surface`, or of a part of one."""
 
     @property
     def tree(self) -> Tree: ...
@@ -108,55 +118,56 @@ class Triangles(Protocol):
 def cover(
     surface: Triangles, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes:
-    """`certified_planes` for arguments that are known to be sound."""
+    """`certified_planes` for arguments that have been checked."""
     planes = np.empty((BUDGET, at.PLANE))
     tree = surface.tree
     m, reach = walk_alone(
         tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
-        x, radius, standoff, tip_radius, EASE, planes,
+        tuple(x.ravel().tolist()), radius, standoff, tip_radius, EASE, planes,
     )  # fmt: skip
     return planes_of(planes[:m], reach)
 
 
 @njit(cache=True, nogil=True)
 def walk(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
     planes, first, queue, polygons,
 ):  # fmt: skip
-    """Planes for a tip at p (3,), from row `first` on: their number and the radius they hold in.
+    """Planes from row `first` on: their number and the radius they hold in.
 
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
-        walls: triangles (a, b, b) stand for walls through a and b along z, and p[2] is 0.
+        walls: triangles (a, b, b) stand for walls through a and b along z, and the tip's z is 0.
+        ends: three numbers, the centre of the tip, or six, start and end of a capsule's axis [m].
+        tip_radius: of the tip, or of the capsule [m].
         ease: `EASE`, or less.
         planes: (k, PLANE) written; at most `BUDGET` of them.
         queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
     """
-    # An entry of the queue knows only so many planes, whatever room there is for more.
+    # Masks have a bit for each plane, so there are no more than BUDGET however long `planes` is.
     budget = min(planes.shape[0] - first, BUDGET)
     planes = planes[first:]
     polygon, spare = polygons[0], polygons[1]
-    x, y, z = p[0], p[1], p[2]
-    near = ROUND * (max(abs(x), abs(y), abs(z)) + radius + tip_radius)
-    # By what a computed distance to a box or a triangle (but a sliver) may be too large.
+    near = ROUND * (largest_coordinate(ends) + radius + tip_radius)
+    # A computed distance to a box, or to a triangle but a sliver, is too large by at most this.
     blur = EXACT + near
     reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
     reach2 = reach * reach
     # A point z of the mesh is behind plane i when n·z is below its LIMIT, of which its BUMP is for
     # bumps and counts less and less for triangles nearer than `far`.
     far = tip_radius + NEAR * standoff
-    # The queue holds squared distances, items and masks. A waiting node is its number, a waiting
-    # triangle −1 − its number; times SEEN, plus the number of planes it has already been tested
-    # against. Its mask says which of these hide a part of it: only they can hide what is in it.
+    # The queue holds squared distances, items and masks. An item is the number of a node, or −1 −
+    # the number of a triangle, times SEEN, plus how many planes it has been tested against. The
+    # mask has those of them that a part of it is behind: what is in it cannot be behind any other.
     m = 0
     valid = radius
     size = 0
-    # How near the tip's centre may come to anything: no nearer than it is, or the tip's radius.
+    # The tip's centre may come this close to the mesh: its radius, or the distance if that is less.
     deepest = tip_radius
-    nearest = 0.0  # space between the tip and what is nearest
-    # The nearest of what was just opened is often the nearest of all: it need not queue.
-    next2 = box_distance2(nodes, 0, x, y, z)
+    nearest = 0.0  # space between the tip and the nearest triangle
+    # The nearest child of the node just opened is often the next item: it is kept out of the queue.
+    next2 = box_gap2(nodes, 0, ends)
     next_item = 0
     next_mask = 0
     while True:
@@ -175,10 +186,12 @@ def walk(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = less_of_bumps(d2, tip_radius, far)
         if item >= 0:
-            hidden, cut = box_behind(nodes, item, planes, less, near, since(seen, m))
-            if hidden:
-                continue
-            mask |= cut
+            fresh = since(seen, m)
+            if fresh != 0:
+                hidden, cut = box_behind(nodes, item, planes, less, near, fresh)
+                if hidden:
+                    continue
+                mask |= cut
             link = nodes[item, 15]
             if link > 0.0:
                 first, last = children_of(link)
@@ -189,22 +202,24 @@ def walk(  # type: ignore[no-untyped-def]
                 break
             for entry in range(first, last):
                 if link > 0.0:
-                    e2 = box_distance2(nodes, entry, x, y, z)
+                    e2 = box_gap2(nodes, entry, ends)
                     if e2 > reach2:
                         continue
-                    hidden, cut = box_behind(
-                        nodes, entry, planes, less_of_bumps(e2, tip_radius, far), near, mask
-                    )
-                    if hidden:
-                        continue
+                    cut = 0
+                    if mask != 0:
+                        hidden, cut = box_behind(
+                            nodes, entry, planes, less_of_bumps(e2, tip_radius, far), near, mask
+                        )
+                        if hidden:
+                            continue
                 else:
-                    hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
-                    if hidden:
-                        continue
-                    e2 = triangle_distance2(corners, entry, x, y, z)
-                    if slivers[entry] > 0.0:
-                        e2 = max(np.sqrt(e2) - slivers[entry], 0.0) ** 2
-                # A box's bound may round to just above its parent's triangles: never go back.
+                    cut = 0
+                    if mask != 0:
+                        hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
+                        if hidden:
+                            continue
+                    e2 = triangle_gap2(corners, entry, slivers, ends)
+                # Rounding may put a child nearer than its parent: keys must not decrease.
                 e2 = max(e2, d2)
                 if e2 > reach2:
                     continue
@@ -219,27 +234,28 @@ def walk(  # type: ignore[no-untyped-def]
             continue
 
         t = -1 - item
-        hidden, cut = triangle_behind(corners, t, planes, less, near, since(seen, m))
-        if hidden:
-            continue
+        fresh = since(seen, m)
+        if fresh != 0:
+            hidden, cut = triangle_behind(corners, t, planes, less, near, fresh)
+            if hidden:
+                continue
+            mask |= cut
         rounding = rounding_of(corners, t, near)
-        corners_left, swapped = remainder(
-            corners, t, planes, less, rounding, mask | cut, polygon, spare
-        )
+        corners_left, swapped = remainder(corners, t, planes, less, rounding, mask, polygon, spare)
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
-        px, py, pz, rest2 = closest_on_polygon(rest, corners_left, x, y, z)
-        if rest2 > reach2 and not polygon_within(rest, corners_left, x, y, z, reach):
+        foot = polygon_foot(rest, corners_left, ends)
+        if foot[6] > reach2 and not polygon_within(rest, corners_left, foot, ends, reach):
             continue
         if m == budget:
             valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = separate(
-            corners, order, edges, walls, t, rest, corners_left, px, py, pz, rest2, rounding,
-            tip_radius, x, y, z, planes, m,
+            corners, order, edges, walls, t, rest, corners_left, foot, rounding, tip_radius, ends,
+            planes, m,
         )  # fmt: skip
-        room = nx * x + ny * y + nz * z
+        room = lowest(nx, ny, nz, ends)
         clear = room - base
         faint = FAINT * rounding
         if not clear > faint:
@@ -254,8 +270,8 @@ def walk(  # type: ignore[no-untyped-def]
         if space > faint:
             kept = max(standoff, faint)
             if space < kept:
-                # Below the standoff a tool between two walls may go as near to the farther one as
-                # it is to the nearer one: it keeps to the middle.
+                # Between two walls less than two standoffs apart the tool may come as close to
+                # the farther wall as it is to the nearer one, so that it can stay in the middle.
                 kept = min(space, max(nearest, faint))
             eased = ease * m * (space - kept)
             offset = min(base + tip_radius + kept + eased, room - min(YIELD, YIELD_SHARE * space))
@@ -263,8 +279,8 @@ def walk(  # type: ignore[no-untyped-def]
             bump = min(BUMPY * kept, limit - low)
             floor = limit + tip_radius
         else:
-            # The tip overlaps the triangle: what can be promised is about its centre, and that it
-            # comes no nearer to anything than it is to the nearest.
+            # The tip overlaps the triangle: the planes then guarantee that its centre comes no
+            # closer to any triangle than it is to the nearest one now.
             kept = max(deepest, 0.5 * faint)
             offset = room - min(YIELD, YIELD_SHARE * kept)
             limit = max(low, room - kept)
@@ -286,10 +302,10 @@ def walk(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def walk_alone(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease, planes
+    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease, planes
 ):  # fmt: skip
-    """`walk` with room of its own to work in, for a single call from Python."""
+    """`walk` with its own working memory, for a single call from Python."""
     return walk(
-        nodes, corners, order, slivers, edges, walls, p, radius, standoff, tip_radius, ease,
+        nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
         planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
     )  # fmt: skip

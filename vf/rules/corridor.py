@@ -24,7 +24,7 @@ from vf.rules.walls import (
     walls_along,
 )
 
-# How far a tool outside is led back in a tick [m]: 10 mm/s at 1 kHz.
+# A tool outside is moved back by at most this in a tick [m]: 10 mm/s at 1 kHz.
 LED_BACK = 1e-5
 CORRIDOR = int(Rule.CORRIDOR)
 FLATTEN = cos(radians(30.0))
@@ -72,7 +72,7 @@ class CorridorFixture:
         self.axes = _across(self.direction)  # (2, 3): the plane in which the walls are lines
         self.walls = walls_along(bends(self.path @ self.axes.T), self.width)  # (k, WALL) [m]
         self.tree, self.edges = tree_of(self.walls)
-        # Nearer to a wall no plane separates the tip from it: it counts as being on the wall [m].
+        # A tip closer to a wall than this counts as on it: no plane separates the two [m].
         self.hair = max(ON_WALL, 2.0 * FAINT * ROUND * float(np.abs(self.walls[:, :ACROSS]).max()))
         frame = np.array([*self.axes.ravel(), self.width, self.hair])
         self.search = Search(at.WALLED, self.tree, self.edges, self.walls, frame)
@@ -82,7 +82,7 @@ class CorridorFixture:
             array.flags.writeable = False
 
     def inside(self, x: FloatArray) -> bool:
-        """Never: outside the corridor is not inside an anatomy, and `planes` leads back."""
+        """Always False: `planes` leads a tool outside the corridor back, it is not inside."""
         return False
 
     def leads_out(self, x: FloatArray, y: FloatArray) -> bool:
@@ -189,14 +189,14 @@ def between(  # type: ignore[no-untyped-def]
     walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
     tip_radius, planes, first, queue, polygons,
 ):  # fmt: skip
-    """Planes of a corridor for a tip at p (3,): as `cover.walk`, which does it in the plane.
+    """Planes of a corridor for a tip at p (3,): from `certified.walk` in the plane of the axes.
 
-    What separates x from a piece there separates the tip from the whole wall, which stands on it
-    along the direction of the cut.
+    A line that separates x from a piece of the wall in that plane gives a plane, along the
+    direction of the cut, that separates the tip from the whole wall.
 
     Args:
         walls, axes: (k, WALL) pieces in the plane of the axes (2, 3).
-        hair: a tip nearer to a wall than this is on it or outside [m].
+        hair: a tip closer to a wall than this counts as on it or outside [m].
         nodes, corners, order, slivers, edges: of them.
     """
     x = axes[0, 0] * p[0] + axes[0, 1] * p[1] + axes[0, 2] * p[2]
@@ -205,7 +205,7 @@ def between(  # type: ignore[no-untyped-def]
     if room < hair:
         if room < -hair:
             nx, ny = (px - x) / -room, (py - y) / -room
-        # The controller asks to be at the standoff from this foot, in one tick by half.
+        # The controller recovers half of what is missing to the standoff from this foot in a tick.
         back = min(2.0 * LED_BACK, max(-room, 0.0) + standoff + tip_radius) - standoff - tip_radius
         plane = planes[first]
         plane[at.NORMAL], plane[at.NORMAL + 1] = nx, ny
@@ -217,11 +217,9 @@ def between(  # type: ignore[no-untyped-def]
         m = 1
         valid = min(radius, max(-room, 0.0) + width)
     else:
-        flat = np.zeros(3)
-        flat[0], flat[1] = x, y
         m, valid = walk(
-            nodes, corners, order, slivers, edges, True, flat, radius, standoff, tip_radius, 0.0,
-            planes, first, queue, polygons,
+            nodes, corners, order, slivers, edges, True, (x, y, 0.0), radius, standoff, tip_radius,
+            0.0, planes, first, queue, polygons,
         )  # fmt: skip
     for i in range(first, first + m):
         plane = planes[i]
@@ -240,7 +238,7 @@ def _between_alone(  # type: ignore[no-untyped-def]
     walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
     tip_radius, planes,
 ):  # fmt: skip
-    """`between` with room of its own to work in, for a single call from Python."""
+    """`between` with its own working memory, for a single call from Python."""
     return between(
         walls, axes, width, hair, nodes, corners, order, slivers, edges, p, radius, standoff,
         tip_radius, planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),

@@ -31,20 +31,20 @@ from vf.tree.nearest import nearest_face_facing
 from vf.tree.pdtree import EXACT, Tree
 from vf.tree.sides import inner_side, side
 
-# Nearer than this to the surface there is no telling the sides apart [m].
+# Closer to the surface than this, inside and outside are not distinguished [m].
 ON_SURFACE = 1e-9
 LIFT = 1e-8  # [m], far above rounding and far below any standoff
-# From inside, a step may go this share of the way to the nearest surface, until that is `HOP` away:
-# then a step may pass it.
+# Inside, a step may cover this share of the distance to the nearest surface. Where that distance is
+# at most `HOP`, a step may pass through the surface to the outside.
 APPROACH = 0.75
 HOP = 2e-5  # [m]
-# A step that may pass a wall keeps this share of their distance from guarded triangles, or the
-# standoff if that is less: behind the wall there may be less room than a standoff.
+# A step that may pass a wall stays away from guarded triangles by this share of their distance, or
+# by the standoff if that is less: behind the wall there may be less space than a standoff.
 CLEAR = 0.1
 
 
 class Part(NamedTuple):
-    """Some triangles of a surface, as far as `cover` looks at one."""
+    """Some triangles of a surface: what `cover` needs of one."""
 
     tree: Tree
     edges: NDArray[np.int8]
@@ -79,7 +79,7 @@ def way_out(
 def _guarded(
     surface: Surface, x: FloatArray, radius: float, standoff: float, turn: float, out: Planes
 ) -> Planes:
-    """The plane `out` and those of the guarded triangles, in a ball that reaches past the wall."""
+    """The plane `out` and those of the guarded triangles, in a ball that extends past the wall."""
     distance = surface.nearest(x)[0]
     radius = min(radius, 2.0 * distance + 0.1 * HOP)
     found = surface.within(x, radius + _blur(surface))
@@ -105,16 +105,17 @@ def _guarded(
 
 
 def leads_out(surface: Surface, x: FloatArray, y: FloatArray) -> bool:
-    """Whether the straight step from x to y (3,), x inside a closed surface, may be made.
+    """Whether the straight step from x to y (3,), x inside a closed surface, is allowed.
 
-    It passes nothing and gets no deeper, or passes one wall in one point and ends where the winding
-    number is 0. On the surface it may not end: no plane can tell the sides apart there.
+    It is if it meets no triangle and gets no deeper, or if it crosses one wall in one point and
+    ends where the winding number is 0. It may not end on the surface, where no plane separates
+    inside from outside.
     """
     clear = max(ON_SURFACE, 2.0 * touching_distance(surface))
     if surface.nearest(y)[0] < clear:
         return False
     start = surface.nearest(x)[0]
-    if start <= touching_distance(surface):  # the planes of `on_surface` have said the rest
+    if start <= touching_distance(surface):  # the planes of `on_surface` have settled the rest
         return _outside(surface, y)
     turn = _turn(surface, x)
     length = float(np.linalg.norm(y - x))
@@ -135,11 +136,11 @@ def leads_out(surface: Surface, x: FloatArray, y: FloatArray) -> bool:
 def on_surface(
     surface: Surface, x: FloatArray, radius: float, standoff: float, tip_radius: float
 ) -> Planes | None:
-    """The planes for a tip exactly on a closed surface, where sides cannot be told at x itself.
+    """The planes for a tip exactly on a closed surface, where x is neither inside nor outside.
 
-    They are those of a point a hair outside, where the winding number is 0, relaxed so that x obeys
-    them: the tip may stay on the surface or leave it, never enter. A step stays nearer than any
-    triangle that does not touch x, so it meets none. None where no outside is found.
+    They are those of a point up to `LIFT` outside, where the winding number is 0, relaxed so that x
+    obeys them: the tip may stay on the surface or leave it, never enter. A step is shorter than the
+    distance to any triangle that does not touch x, so it meets none. None: no outside was found.
     """
     touch = touching_distance(surface)
     touching = surface.within(x, touch).triangles
@@ -155,13 +156,13 @@ def on_surface(
             planes = cover(surface, lifted, radius, standoff, tip_radius)
             offsets = np.minimum(planes.offsets, planes.normals @ x - surface.rounding)
             reach = max(min(planes.radius - lift, 0.5 * free), 0.0)
-            # No floors: within this ball no path meets anything that x does not touch.
+            # No floors: within this ball no path meets a triangle that x does not touch.
             return replace(planes, offsets=offsets, radius=reach, floors=None)
     return None
 
 
 def touching_distance(surface: Surface) -> float:
-    """Nearer than this to a triangle a point is on it, within rounding [m]."""
+    """A point closer to a triangle than this counts as on it: rounding allows no more [m]."""
     return 2.0 * FAINT * surface.rounding
 
 
@@ -182,12 +183,12 @@ def _blur(surface: Surface) -> float:
 
 
 def _outside(surface: Surface, x: FloatArray) -> bool:
-    """Whether the winding number around x (3,) is 0: more than not to be `Surface.inside`."""
+    """Whether the winding number around x (3,) is 0. Where it is 2, x is not inside either."""
     return abs(surface.winding(x)) < 0.5
 
 
 def _turn(surface: Surface, x: FloatArray) -> float:
-    """1 where the surface around x (3,) is wound outwards, −1 where it is turned inside out."""
+    """1 where the faces around x (3,) are wound with outward normals, −1 where with inward ones."""
     return 1.0 if surface.winding(x) > 0.0 else -1.0
 
 
@@ -245,7 +246,7 @@ def _inner_sides(corners, p, turn):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _met(corners, p, q):  # type: ignore[no-untyped-def]
-    """(k,) whether the closed segment pq meets each triangle (k, 9), or rounding leaves it open."""
+    """(k,) whether the closed segment pq meets each triangle (k, 9), or rounding may hide it."""
     met = np.empty(corners.shape[0], dtype=np.bool_)
     for t in range(corners.shape[0]):
         c = corners[t]

@@ -7,6 +7,7 @@ from vf.kernels import njit
 
 @njit(cache=True, nogil=True)
 def push(queue, size, key, item, mask):  # type: ignore[no-untyped-def]
+    """Add an entry to a heap of `size` entries, smallest key at the root."""
     i = size
     while i > 0:
         parent = (i - 1) >> 1
@@ -22,8 +23,8 @@ def push(queue, size, key, item, mask):  # type: ignore[no-untyped-def]
 def pop(queue, size):  # type: ignore[no-untyped-def]
     """Remove the root of a heap of `size` entries (read it before)."""
     size -= 1
-    # The hole goes down to a leaf, and the last entry, which belongs near the leaves, goes in
-    # there: that way hardly a comparison has an outcome that the processor could not foresee.
+    # The vacancy moves down to a leaf without branches, then the last entry, which belongs near the
+    # leaves, is inserted there: this costs fewer mispredicted branches than sifting it down.
     i = 0
     child = 1
     while child < size:

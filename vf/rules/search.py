@@ -1,4 +1,4 @@
-"""What a tick needs to choose a fixture's planes by itself."""
+"""The data with which the compiled tick chooses a fixture's planes without calling Python."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from vf.tree.pdtree import Tree
 
 
 class Search(NamedTuple):
-    """What a tick needs to look for a fixture's planes itself.
+    """A fixture's geometry as the compiled tick searches it.
 
     Attributes:
         kind: `layout.MESH` or `layout.WALLED`.
-        tree, edges: what `cover.walk` goes through.
+        tree, edges: of the triangles, arguments of `certified.walk`.
         walls: (k, corridor.WALL) of a corridor, else empty.
         frame: (8,) of a corridor: its axes, width and hair; else empty.
     """

@@ -1,4 +1,4 @@
-"""The plane that separates the tip from what is left of a triangle."""
+"""The plane that separates a tip, or an axis, from what is left of a triangle."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from vf import layout as at
 from vf.adjacency import Edge
 from vf.kernels import njit
 from vf.planes import Rule
-from vf.tree.pdtree import triangle_at
+from vf.tree.axis import lowest, triangle_foot
 
-# A face plane across a valley edge must leave x this share of the triangle's distance of room.
+# A face plane at a valley edge must be at least this share of the triangle's distance below x.
 VALLEY_ROOM = 0.05
 FACE, RIDGE, VALLEY = int(Rule.FACE), int(Rule.RIDGE), int(Rule.VALLEY)
 ACROSS_VALLEY, ACROSS_FLAT = int(Edge.VALLEY), int(Edge.FLAT)
@@ -18,16 +18,24 @@ ACROSS_VALLEY, ACROSS_FLAT = int(Edge.VALLEY), int(Edge.FLAT)
 
 @njit(cache=True, nogil=True)
 def separate(  # type: ignore[no-untyped-def]
-    corners, order, edges, walls, t, rest, count, px, py, pz, rest2, rounding, tip_radius, x, y, z,
-    planes, m,
+    corners, order, edges, walls, t, rest, count, foot, rounding, tip_radius, ends, planes, m
 ):  # fmt: skip
-    """A plane with the `rest` of triangle t behind it: rule, normal, base offset, point.
+    """A plane that has the polygon `rest`, which is left of triangle t, behind it.
 
-    The base is the largest n·z over the corners, so it bounds the triangle whatever was rounded.
-    planes: the m so far.
+    Args:
+        rest, count: the polygon.
+        foot: `axis.polygon_foot` of it.
+        ends: of the axis, or the tip, see `certified.walk`.
+        walls: see `certified.walk`.
+        rounding: bound on the rounding error of n·z [m].
+        planes, m: those chosen so far.
+
+    Returns:
+        Rule, normal (three numbers), base offset, closest point (three numbers). The base is the
+        largest n·z over the corners, so it bounds all of the polygon in spite of rounding.
     """
     c = corners[t]
-    qx, qy, qz, feature, d2 = triangle_at(corners, t, x, y, z)
+    x, y, z, qx, qy, qz, feature, d2 = triangle_foot(corners, t, ends)
     d = np.sqrt(d2)
     ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
     vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
@@ -45,8 +53,8 @@ def separate(  # type: ignore[no-untyped-def]
         base = max(h0, h1, h2)
         # A sliver's normal is noise: its corners then do not lie on the plane.
         if base - min(h0, h1, h2) <= 8.0 * rounding:
-            s = nx * x + ny * y + nz * z - base
-            # What is between its ends is the inside of a wall.
+            s = lowest(nx, ny, nz, ends) - base
+            # A point between the ends of a wall (features 0 to 3) is on its face.
             if (feature == 0 or (walls and feature <= 3)) and s > 0.0:
                 return FACE, nx, ny, nz, base, qx, qy, qz
             i = order[t]
@@ -60,19 +68,20 @@ def separate(  # type: ignore[no-untyped-def]
                 valley = one == ACROSS_VALLEY or other == ACROSS_VALLEY
                 seam = one >= ACROSS_FLAT or other >= ACROSS_FLAT
             if seam and not valley:
-                # An edge whose neighbours the mesh does not tell, of a triangle that rises from
-                # there out of what a nearer plane covers, is a valley too: were each of its faces
-                # the edge's plane while the tool is nearer to the other, the tool would hop from
-                # the one to the other for ever.
+                # An edge without a known neighbour counts as a valley too if it lies behind a
+                # nearer plane and the triangle rises out of that plane from there. Otherwise each
+                # of the two faces at the edge would give the ridge's plane while the tool is nearer
+                # to the other one, and the tool would alternate between the two planes without end.
                 for k in range(m):
                     height = planes[k, at.NORMAL] * qx + planes[k, at.NORMAL + 1] * qy
                     if height + planes[k, at.NORMAL + 2] * qz < planes[k, at.LIMIT]:
                         valley = True
                         break
-            # Judged from the rim of the tip: a plane under the tip's centre by less than its radius
-            # would let the rim in.
+            # Judged from the tip's surface: a face plane less than its radius below the centre
+            # would let the tip overlap the triangle.
             if valley and s > tip_radius + VALLEY_ROOM * max(d - tip_radius, 0.0):
                 return VALLEY, nx, ny, nz, base, qx, qy, qz
+    x, y, z, px, py, pz, rest2 = foot
     dx, dy, dz = x - px, y - py, z - pz
     d = np.sqrt(rest2)
     if d == 0.0:

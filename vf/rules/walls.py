@@ -89,10 +89,10 @@ def walls_along(points: FloatArray, width: float) -> FloatArray:
 
 
 def tree_of(walls: FloatArray) -> tuple[Tree, NDArray[np.int8]]:
-    """The walls for `cover.walk`: triangles (a, b, b) in the plane, and kinds (k, 3) of edges.
+    """The walls for `certified.walk`: triangles (a, b, b) in the plane, and kinds (k, 3) of edges.
 
-    Edge 2 speaks for the bend at a and edge 1 for that at b: a valley where the wall goes on
-    towards the corridor.
+    Edge 2 stands for the bend at a and edge 1 for that at b: a valley where the next piece of the
+    wall turns towards the corridor.
     """
     k = len(walls)
     corners = np.zeros((3 * k, 3))
@@ -106,12 +106,12 @@ def tree_of(walls: FloatArray) -> tuple[Tree, NDArray[np.int8]]:
                 ahead = walls[j, far : far + 2] - walls[i, :END]
                 if walls[i, ACROSS:ON] @ ahead > 0.0:
                     edges[i, edge] = Edge.VALLEY
-    # What `build` says of slivers does not hold for what is a line: its distance is exact.
+    # The error bounds of `build` are for triangles: the distance to a line segment is exact.
     return tree._replace(errors=np.zeros(k)), edges
 
 
 def _check_apart(walls: FloatArray, legs: IntArray, width: float) -> None:
-    """Refuse walls that meet: which side of them is free would then be open.
+    """Refuse walls that meet: which side of them is free would then be undefined.
 
     Args:
         legs: (k,) from which leg of the path each piece comes.

@@ -1,8 +1,8 @@
-"""The steps that a tick tries one after the other, until one may be made.
+"""The steps that a tick tries one after the other, until one passes the check.
 
-In this order: the optimum; the same a little shorter, where only the true tip went farther than the
-linear one; the optimum with the rows moved by the linearisation error just seen; ever shorter parts
-of the first; standing still.
+In this order: the optimum; a shorter part of it, if the true tip moved farther than the linear
+prediction and only that is wrong; the optimum with the rows moved by the linearisation error just
+measured; parts of the first, by bisection; standing still.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 
 @njit(cache=True)
 def ask(words, numbers, table, bounds, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """Solve the planes' rows with these bounds as far as no solver is needed; whether one is."""
+    """Solve the problem with these bounds if no solver is needed for it; True: one is needed."""
     rows = numba.carray(floats_at(words[at.ROWS]), (words[at.ROOM], words[at.JOINTS]))
     words[at.SOLVER], words[at.LEFT] = attempt(
         table[at.TASK : at.TASK + 6], numbers[at.DESIRED : at.DESIRED + 6], numbers[at.DAMPING],
@@ -36,7 +36,7 @@ def ask(words, numbers, table, bounds, scratch, multipliers):  # type: ignore[no
 
 @njit(cache=True)
 def settle(words, n, table, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """Take the answer of the solver that was asked."""
+    """Take over the answer of the solver."""
     words[at.SOLVER] = words[at.ANSWER]
     if words[at.SOLVER] != INFEASIBLE:
         u = numba.carray(floats_at(words[at.SOLUTION]), (n,))
@@ -48,9 +48,10 @@ def settle(words, n, table, scratch, multipliers):  # type: ignore[no-untyped-de
 
 @njit(cache=True)
 def shortened(numbers, table, J, scratch, row):  # type: ignore[no-untyped-def]
-    """The solver's step, shortened to what a tick allows, to a row of the table; whether it is any.
+    """Write the solver's step, shortened to what a tick allows, to a row; False: the step is zero.
 
-    All joints are shortened alike: so it obeys the rows, and the tip heads for where it will end.
+    All joints are shortened by the same factor, so that the step obeys the rows and keeps its
+    direction.
     """
     n = table.shape[1]
     dq = answer(scratch, n)
@@ -64,7 +65,7 @@ def shortened(numbers, table, J, scratch, row):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def set_trial(numbers, table, jacobians, row, share, bulges):  # type: ignore[no-untyped-def]
-    """Joints to try: a share of a step, no joint farther beyond its limits than it is."""
+    """Set the joints to try: a share of a step, no joint farther beyond its limits than it is."""
     for j in range(table.shape[1]):
         q = table[at.POSITION, j]
         # The sum may round to just beyond a limit.
@@ -79,7 +80,7 @@ def set_trial(numbers, table, jacobians, row, share, bulges):  # type: ignore[no
 
 @njit(cache=True)
 def bisect(words, numbers, table, start, jacobians, bulges):  # type: ignore[no-untyped-def]
-    """Begin with the parts of the step: the first is half of it, the least is none."""
+    """Begin the bisection: the first part is half of the step; none of it is always allowed."""
     words[at.STAGE] = at.PART
     words[at.TRIES] = 0
     numbers[at.LOW], numbers[at.HIGH], numbers[at.BEST_SHARE] = 0.0, 1.0, 0.0
@@ -91,23 +92,19 @@ def bisect(words, numbers, table, start, jacobians, bulges):  # type: ignore[no-
 
 @njit(cache=True)
 def next_attempt(  # type: ignore[no-untyped-def]
-    words, numbers, table, planes, places, trials, jacobians, bulges, scratch, multipliers,
+    words, numbers, table, planes, places, trials, jacobians, guards, bulges, scratch, multipliers,
     allowed, start, tip,
 ):  # fmt: skip
-    """What is tried after a step that may not be made, or after a part that may.
-
-    Tried in this order: the optimum; the same a little shorter, where only the true tip went
-    farther than the linear one; the optimum with the rows moved by the linearisation error just
-    seen; ever shorter parts of the first; standing still.
+    """Choose the next attempt, given whether the last one was allowed.
 
     Returns:
-        at.TRIED: there are joints to try; at.SOLVED: there is a problem to solve; at.DONE.
+        TRIED: there are joints to try; SOLVED: there is a problem to solve; DONE.
     """
     stage = words[at.STAGE]
     if stage <= at.RELAXED:
         _miss(words, table, places, trials, jacobians)
         words[at.TRIES] = 0
-        if _too_far(numbers, table, places[0], trials[0], jacobians, bulges):
+        if _too_far(numbers, table, places, trials, jacobians, guards, bulges):
             words[at.STAGE] = at.SHORTER
             return at.TRIED
         return _correct(words, numbers, table, planes, scratch, multipliers)
@@ -116,7 +113,7 @@ def next_attempt(  # type: ignore[no-untyped-def]
             table[at.STEP, j] *= numbers[at.SHARE]
         words[at.TRIES] += 1
         if words[at.TRIES] < SHORTENINGS and _too_far(
-            numbers, table, places[0], trials[0], jacobians, bulges
+            numbers, table, places, trials, jacobians, guards, bulges
         ):
             return at.TRIED
         return _correct(words, numbers, table, planes, scratch, multipliers)
@@ -143,7 +140,7 @@ def next_attempt(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _miss(words, table, places, trials, jacobians):  # type: ignore[no-untyped-def]
-    """By what the linear motion of the step missed the true one, for every guarded point [m]."""
+    """Write the linearisation error of the step at every guarded point [m]."""
     errors = numba.carray(floats_at(words[at.ERRORS]), (words[at.POINTS], 3))
     for p in range(words[at.POINTS]):
         for k in range(3):
@@ -154,20 +151,24 @@ def _miss(words, table, places, trials, jacobians):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def _too_far(numbers, table, x, y, jacobians, bulges):  # type: ignore[no-untyped-def]
-    """Where the true tip went farther than it may, from x to y (3,): try what does not."""
-    d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
-    length = np.sqrt(d2)
-    if not length > numbers[at.LONGEST]:
+def _too_far(numbers, table, places, trials, jacobians, guards, bulges):  # type: ignore[no-untyped-def]
+    """If a true point moved too far, set a shorter step as the trial; whether one did."""
+    least = np.inf
+    for p in range(places.shape[0]):
+        x, y = places[p], trials[p]
+        d2 = (y[0] - x[0]) ** 2 + (y[1] - x[1]) ** 2 + (y[2] - x[2]) ** 2
+        length = np.sqrt(d2)
+        if length > guards[p, at.STEP_LIMIT]:
+            least = min(least, (1.0 - 1e-9) * guards[p, at.STEP_LIMIT] / length)
+    if not least < np.inf:
         return False
-    share = (1.0 - 1e-9) * numbers[at.LONGEST] / length
-    set_trial(numbers, table, jacobians, at.STEP, share, bulges)
+    set_trial(numbers, table, jacobians, at.STEP, least, bulges)
     return True
 
 
 @njit(cache=True)
 def _correct(words, numbers, table, planes, scratch, multipliers):  # type: ignore[no-untyped-def]
-    """Solve again, with the rows moved by the linearisation error just seen: at.SOLVED."""
+    """Solve again, with the rows moved by the linearisation error just measured; SOLVED."""
     bounds = numba.carray(floats_at(words[at.BOUNDS]), (words[at.ROOM],))
     other = numba.carray(floats_at(words[at.OTHER_BOUNDS]), (words[at.ROOM],))
     errors = numba.carray(floats_at(words[at.ERRORS]), (words[at.POINTS], 3))

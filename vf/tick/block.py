@@ -1,4 +1,4 @@
-"""The memory that a tick works in, as `vf.layout` describes it."""
+"""The memory of a tick, laid out as `vf.layout` describes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from vf.planes import FloatArray, IntArray
 from vf.qp.active_set import scratch_size
 from vf.rules.certified import BUDGET, CORNERS, HEAP
 from vf.rules.search import Search
+from vf.tick.bodies import Guarded, tip_alone
 from vf.tick.chain import LINK
 
 
 class Block:
-    """Arrays of a tick, and the words that lead the kernels to them. Not thread-safe.
+    """The arrays of a tick, and the words with their addresses. Not thread-safe.
 
     Attributes:
         words: (WORDS,) see `vf.layout`, at `address`; the other arrays are parts by the names of
@@ -25,24 +26,32 @@ class Block:
         head: bytes of REPORT.
     """
 
-    def __init__(self, n: int, chain: FloatArray | None, searches: Sequence[Search | None]) -> None:
+    def __init__(
+        self,
+        n: int,
+        chain: FloatArray | None,
+        searches: Sequence[Search | None],
+        guarded: Guarded | None = None,
+    ) -> None:
         """For n joints.
 
         Args:
-            chain: of the arm, see `vf.tick.chain`; None: it answers itself.
-            searches: one for each fixture; None: it answers itself.
+            chain: of the arm, see `vf.tick.chain`; None: the arm computes its kinematics in Python.
+            searches: one for each fixture; None: the fixture computes its planes in Python.
+            guarded: the tip and what is guarded beside it; None: nothing.
         """
         self.words = np.zeros(at.WORDS, dtype=np.int64)
         self.address = self.words.ctypes.data
-        # What the addresses lead to must not go away.
+        # The kernels hold addresses only: these references keep the arrays alive.
         self._searched = tuple(searches)
         self._parts: dict[int, NDArray[np.generic]] = {}
         self.n = n
         links = 0 if chain is None else len(chain)
-        points = 1  # the tip
+        guarded = guarded or tip_alone(0.0)
+        points = len(guarded.guards)
         for word, count in (
             (at.JOINTS, n), (at.LINKS, links), (at.FIXTURES, len(searches)),
-            (at.POINTS, points),
+            (at.POINTS, points), (at.BODIES, len(guarded.bodies)),
         ):  # fmt: skip
             self.words[word] = count
         self.chain = self._part(at.CHAIN, links, LINK)
@@ -65,13 +74,18 @@ class Block:
         self.sides = self._part(at.SIDES, len(searches), at.SIDE)
         self.sides[:] = np.nan
         self._searches(searches)
+        self._point(at.GUARDS, guarded.guards)
+        self._point(at.BODY_TABLE, guarded.bodies)
         self.head = 8 * (at.HEAD + 2 * n)
+        self._spare = len(searches) * BUDGET * guarded.ends
         self.reserve(max(len(searches), 1) * BUDGET)
 
     def reserve(self, rows: int) -> None:
-        """Have room for that many planes, which lose what they say."""
+        """Make room for that many planes of the tip; their present content is lost."""
+        self.room = rows
+        rows += self._spare
         n, head = self.n, self.head // 8
-        self.room = self.words[at.ROOM] = rows
+        self.words[at.ROOM] = rows
         whole = np.zeros(head + rows * at.PLANE)
         self.words[at.REPORT] = whole.ctypes.data
         self.words[at.PLANES] = whole.ctypes.data + self.head
@@ -87,12 +101,12 @@ class Block:
         self.words[at.SCRATCH_SIZE] = size
 
     def _part(self, word: int, *shape: int) -> FloatArray:
-        """A new part; what the word led to before is forgotten."""
+        """A new part; the array that the word pointed to before is released."""
         part = np.zeros(shape)
-        self._lead(word, part)
+        self._point(word, part)
         return part
 
-    def _lead(self, word: int, part: NDArray[np.generic]) -> None:
+    def _point(self, word: int, part: NDArray[np.generic]) -> None:
         self.words[word] = part.ctypes.data
         self._parts[word] = part
 
@@ -114,7 +128,7 @@ class Block:
                 (at.FRAME, search.frame),
             ):  # fmt: skip
                 if not array.flags.c_contiguous:
-                    raise ValueError("what a fixture lets a tick search must be contiguous")
+                    raise ValueError("the arrays of a fixture's search must be contiguous")
                 row[word] = array.ctypes.data
         self.searches = table
-        self._lead(at.SEARCHES, table)
+        self._point(at.SEARCHES, table)

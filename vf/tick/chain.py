@@ -5,6 +5,9 @@ base outwards, and a last one for the tip. A row says where its frame stands in 
 before it, whose joint has moved (`ROTATION`, row by row, and `TRANSLATION` [m]), whether its joint
 turns or slides (`REVOLUTE`: 1 or 0) and which entry of the joint vector moves it (`JOINT`). Every
 joint moves about or along the z axis of its frame: other axes are turned there beforehand.
+
+A point that moves with the arm is an anchor (4,): how many joints of the chain move it (0: it
+stands still), and where it is [m] in the frame of the last of them.
 """
 
 from __future__ import annotations
@@ -98,6 +101,62 @@ def tip_pose(chain, q, pose, axes):  # type: ignore[no-untyped-def]
     pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3] = r00, r01, r02, x
     pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3] = r10, r11, r12, y
     pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3] = r20, r21, r22, z
+
+
+@njit(cache=True)
+def place_points(chain, q, guards, places):  # type: ignore[no-untyped-def]
+    """Positions (p, 3) of guarded points from the second on, base frame [m]; the first is the tip.
+
+    Args:
+        guards: (p, GUARD) whose first numbers are anchors.
+    """
+    r = np.eye(3)
+    moved = np.empty((3, 3))
+    o = np.zeros(3)
+    for i in range(chain.shape[0]):
+        for p in range(1, guards.shape[0]):
+            if int(guards[p, 0]) == i:
+                for k in range(3):
+                    places[p, k] = (
+                        o[k] + r[k, 0] * guards[p, 1] + r[k, 1] * guards[p, 2]
+                        + r[k, 2] * guards[p, 3]
+                    )  # fmt: skip
+        if i == chain.shape[0] - 1:
+            break
+        link = chain[i]
+        for k in range(3):
+            o[k] += r[k, 0] * link[9] + r[k, 1] * link[10] + r[k, 2] * link[11]
+        for k in range(3):
+            for c in range(3):
+                moved[k, c] = r[k, 0] * link[c] + r[k, 1] * link[3 + c] + r[k, 2] * link[6 + c]
+        value = q[int(link[JOINT])]
+        if link[REVOLUTE] > 0.0:
+            c, s = _cosine_sine(value)
+            for k in range(3):
+                r[k, 0] = moved[k, 0] * c + moved[k, 1] * s
+                r[k, 1] = moved[k, 1] * c - moved[k, 0] * s
+                r[k, 2] = moved[k, 2]
+        else:
+            for k in range(3):
+                o[k] += moved[k, 2] * value
+                for c in range(3):
+                    r[k, c] = moved[k, c]
+
+
+@njit(cache=True)
+def point_jacobian(chain, axes, joints, x, y, z, J):  # type: ignore[no-untyped-def]
+    """Linear Jacobian (3, n), written, of the point (x, y, z) that the first `joints` move."""
+    J[:] = 0.0
+    for i in range(joints):
+        j = int(chain[i, JOINT])
+        ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]
+        if chain[i, REVOLUTE] > 0.0:
+            dx, dy, dz = x - axes[i, 3], y - axes[i, 4], z - axes[i, 5]
+            J[0, j] = ay * dz - az * dy
+            J[1, j] = az * dx - ax * dz
+            J[2, j] = ax * dy - ay * dx
+        else:
+            J[0, j], J[1, j], J[2, j] = ax, ay, az
 
 
 @njit(cache=True)

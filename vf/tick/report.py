@@ -1,4 +1,4 @@
-"""What a tick leaves for its caller."""
+"""The report of a tick: what it did, for its caller."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vf.qp.solver import Solver
 from vf.status import Status
 from vf.tick.haptics import master_force
 
-# Missing less than this share of the standoff is rounding, not a state to report.
+# A deficit below this share of the standoff is rounding and not reported as RECOVERING.
 NEGLIGIBLE = 0.1
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 IS_SOLVED, IS_SHORTENED, IS_HELD = int(Status.SOLVED), int(Status.SHORTENED), int(Status.HELD)
@@ -19,7 +19,7 @@ IS_RECOVERING, IS_INSIDE = int(Status.RECOVERING), int(Status.INSIDE)
 
 @njit(cache=True)
 def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[no-untyped-def]
-    """Write what became of the tick, its tip being at x (3,); how many planes there are."""
+    """Write the report; x (3,) is where the tip ends. Returns the number of planes."""
     n = words[at.JOINTS]
     report = numba.carray(floats_at(words[at.REPORT]), (at.HEAD + 2 * n,))
     if words[at.INSIDE] > 0:
@@ -51,14 +51,40 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
             report[at.HEAD + n + j] = 1.0
         elif value <= table[at.LOWEST, j]:
             report[at.HEAD + n + j] = -1.0
-    # A checked step stays on its side: the side need not be looked up where the next tick starts.
+    # A checked step does not change sides: at its end the side is known without a look-up.
     searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
     sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
     for f in range(words[at.FIXTURES]):
         if searches[f, at.KEEPS] > 0 and sides[f, at.WITHIN] == 0.0:
             for k in range(3):
                 sides[f, at.SEEN + k] = x[k]
+    count = words[at.COUNT]
+    if words[at.BODIES] > 0:
+        count = _without_twins(words, planes)
     numbers[at.MARKS + 3] = now()
     for k in range(4):
         report[at.REPORT_MARKS + k] = numbers[at.MARKS + k]
-    return words[at.COUNT]
+    return count
+
+
+@njit(cache=True)
+def _without_twins(words, planes):  # type: ignore[no-untyped-def]
+    """Leave each plane of an axis once, with what it pushed at both ends; their number."""
+    guards = numba.carray(floats_at(words[at.GUARDS]), (words[at.POINTS], at.GUARD))
+    kept = 0
+    run = 0  # of the last block of planes of one point
+    twins = 0
+    for i in range(words[at.COUNT]):
+        point = planes[i, at.POINT]
+        if guards[int(point), at.TWIN] > 0.0:
+            # The block before it, just as long, holds the same planes.
+            planes[kept - run + twins, at.PUSH] += planes[i, at.PUSH]
+            twins += 1
+            continue
+        if twins > 0 or kept == 0 or planes[kept - 1, at.POINT] != point:
+            run = 0
+            twins = 0
+        planes[kept] = planes[i]
+        kept += 1
+        run += 1
+    return kept

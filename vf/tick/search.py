@@ -1,4 +1,4 @@
-"""The planes of a tick, by one walk of the tree of every fixture."""
+"""The planes of a tick: one walk through the tree of every fixture, for the tip and every body."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import bytes_at, floats_at, integers_at, njit
-from vf.qp.problem import farthest, room
+from vf.qp.problem import farthest, room, sagitta
 from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
@@ -15,7 +15,7 @@ from vf.rules.walls import WALL
 
 @njit(cache=True)
 def sides_known(words, x):  # type: ignore[no-untyped-def]
-    """Whether it is known of every fixture on which side of it x (3,) is, in its own frame."""
+    """Whether it is known for every fixture if x (3,) is inside: the last look-up was there."""
     sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
     for f in range(words[at.FIXTURES]):
         for k in range(3):
@@ -26,11 +26,11 @@ def sides_known(words, x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
-    """Whether the tip is inside of something, the motion sphere, and the ball to search.
+    """Set INSIDE, the radius of the motion sphere, and that of the ball to search.
 
-    That ball reaches a standoff beyond the motion sphere, or a step to its rim could end right at a
-    triangle outside, and as far as the path may leave the chord; more than a quarter of the radius
-    would cost more planes than a longer step is worth.
+    The ball is larger than the motion sphere by the standoff, since a step to the rim of the sphere
+    could end right at a triangle outside, and by the sagitta of the path, up to a quarter of the
+    radius: beyond that the additional planes cost more than a longer step gains.
     """
     sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
     words[at.INSIDE] = 0
@@ -46,7 +46,7 @@ def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
-    """The planes of all fixtures for a tip at x (3,); False: Python has to be asked for them."""
+    """Write the planes of all fixtures for a tip at x (3,); False: Python has to compute them."""
     fixtures = words[at.FIXTURES]
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
@@ -70,8 +70,8 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
             edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
             if search[at.KIND] == at.MESH:
                 found, valid = walk(
-                    nodes, corners, order, slivers, edges, False, x, radius, standoff, tip_radius,
-                    EASE, planes, m, queue, polygons,
+                    nodes, corners, order, slivers, edges, False, (x[0], x[1], x[2]), radius,
+                    standoff, tip_radius, EASE, planes, m, queue, polygons,
                 )  # fmt: skip
             else:
                 walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
@@ -81,7 +81,7 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
                     slivers, edges, x, radius, standoff, tip_radius, planes, m, queue, polygons,
                 )  # fmt: skip
             if valid == 0.0:
-                # On a surface one walk of the tree does not answer.
+                # The tip is on the surface: `fixtures` decides that in Python.
                 return False
             space = np.inf
             for i in range(m, m + found):
@@ -94,10 +94,131 @@ def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
             reach = min(reach, valid)
         words[at.COUNT] = m
         numbers[at.REACH] = reach
-        # Between two fixtures, below the standoff of both: as near to the farther one as to the
-        # nearer one, like between two walls of one fixture.
+        # Closer than the standoff to two fixtures: the tool may come as close to the farther one as
+        # it is to the nearer one, as between two walls of one fixture (`certified.walk`).
         if standoff < numbers[at.STANDOFF] or close < 2:
             return True
         standoff = least
         if not standoff > YIELD:
             return True
+
+
+@njit(cache=True)
+def search_bodies(words, numbers, planes, places, jacobians, guards, table):  # type: ignore[no-untyped-def]
+    """Add the planes of every body after those of the tip, and set how far its ends may go.
+
+    Each body has a motion sphere of its own: what its ends can do in a tick. Only meshes guard
+    bodies. A plane of an axis is written twice, for its start and, after all of these, for its end.
+
+    While the tip is inside of something, bodies that meet the mesh are left out: they have to come
+    out with it. Otherwise such a body is STUCK, and the tool holds.
+    """
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    bodies = numba.carray(integers_at(words[at.BODY_TABLE]), (words[at.BODIES], at.BODY))
+    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
+    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
+    words[at.STUCK] = 0
+    for b in range(words[at.BODIES]):
+        first, second = bodies[b, at.FIRST], bodies[b, at.SECOND]
+        _set_ball(numbers, jacobians, guards, table, first, second)
+        radius = guards[first, at.BALL]
+        start = words[at.COUNT]
+        reach = radius
+        if not _in_port(places, guards, bodies[b]):
+            standoff = numbers[at.STANDOFF]
+            thickness = guards[first, at.THICKNESS]
+            p, q = places[first], places[second]
+            while True:
+                m = start
+                reach = radius
+                close = 0
+                least = np.inf
+                for f in range(fixtures):
+                    search = searches[f]
+                    if search[at.KIND] != at.MESH:
+                        continue
+                    nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
+                    corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
+                    order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
+                    slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
+                    edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
+                    if first == second:
+                        found, valid = walk(
+                            nodes, corners, order, slivers, edges, False, (p[0], p[1], p[2]),
+                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
+                        )  # fmt: skip
+                    else:
+                        found, valid = walk(
+                            nodes, corners, order, slivers, edges, False,
+                            (p[0], p[1], p[2], q[0], q[1], q[2]),
+                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
+                        )  # fmt: skip
+                    if valid == 0.0:
+                        if words[at.INSIDE] > 0:
+                            continue
+                        words[at.STUCK] = 1
+                    space = np.inf
+                    for i in range(m, m + found):
+                        planes[i, at.FIXTURE] = f
+                        planes[i, at.CAPSULE] = bodies[b, at.NUMBER]
+                        planes[i, at.POINT] = first
+                        space = min(space, room(planes[i], p), room(planes[i], q))
+                    if space - thickness < standoff:
+                        close += 1
+                    least = min(least, space - thickness)
+                    m += found
+                    reach = min(reach, valid)
+                if standoff < numbers[at.STANDOFF] or close < 2:
+                    break
+                standoff = least
+                if not standoff > YIELD:
+                    break
+            count = m - start
+            if first != second:
+                for i in range(start, m):
+                    planes[i + count] = planes[i]
+                    planes[i + count, at.POINT] = second
+                m += count
+            words[at.COUNT] = m
+        # As for the tip: the step ends within the motion sphere, its path within what was searched.
+        whole = reach >= radius
+        for end in (first, second):
+            guards[end, at.PATH_LIMIT] = reach - numbers[at.BEYOND] if whole else reach
+            guards[end, at.STEP_LIMIT] = min(reach, guards[first, at.STEP_RADIUS])
+
+
+@njit(cache=True)
+def _set_ball(numbers, jacobians, guards, table, first, second):  # type: ignore[no-untyped-def]
+    """Set how far the ends of a body can go in a tick [m], and the ball to search."""
+    far = 0.0
+    bulge = 0.0
+    for p in (first, second):
+        far = max(far, farthest(jacobians[p], table[at.SPEED]))
+        bulge = max(bulge, sagitta(jacobians[p], table[at.SPEED], 1.0, table[at.TURNS]))
+    if numbers[at.ASKED] > 0.0:
+        far = min(far, numbers[at.ASKED])
+    radius = max(far, 2.0 * numbers[at.STANDOFF])
+    guards[first, at.STEP_RADIUS] = radius
+    guards[first, at.BALL] = radius + min(bulge, 0.25 * radius) + numbers[at.BEYOND]
+
+
+@njit(cache=True)
+def _in_port(places, guards, body):  # type: ignore[no-untyped-def]
+    """Whether a body stays in the trocar zone for this tick, where nothing of it is guarded.
+
+    Its axis begins where it leaves the zone, and all of it is in the zone while its end has not
+    come as far as that from the centre.
+    """
+    centre = body[at.CENTRE]
+    if centre < 0:
+        return False
+    first, second = body[at.FIRST], body[at.SECOND]
+    edge = 0.0
+    end = 0.0
+    for k in range(3):
+        out = places[first, k] - places[centre, k]
+        edge += out * out
+        end += out * (places[second, k] - places[centre, k])
+    edge = np.sqrt(edge)
+    return end < (edge - guards[first, at.BALL]) * edge

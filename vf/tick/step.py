@@ -1,4 +1,4 @@
-"""What a tick did, read from the record that it left."""
+"""What a tick did: fields read on demand from the bytes of its report."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Step:
         tip: T_base_tip at q.
         planes: the half-spaces that were verified at the new tip.
         force: (3,) haptic force [N].
-        status: what became of the tick.
+        status: outcome of the tick.
         solver: how the optimum was found.
         multipliers: (m,) how far each plane pushed the tip back from where it would go [m].
         radius: of the motion sphere [m]; `planes.radius` is what was allowed of it.
@@ -78,9 +78,9 @@ class Step:
         )  # fmt: skip
 
     def __getattr__(self, name: str) -> Any:
-        """Fields are cut out of the tick's record when they are first asked for.
+        """Fields are made from the tick's record at their first use.
 
-        A tick makes a step, but few look at all of it: ten arrays cost more than the tick.
+        Few callers need all fields of every step, and ten arrays take longer than the tick itself.
         """
         if name not in _CUT:
             raise AttributeError(f"'Step' object has no attribute '{name}'")
@@ -167,11 +167,13 @@ def _record_of(step: Step) -> tuple[bytes, int, float]:
         rows[:, at.CAPSULE] = planes.capsules
     if planes.fixtures is not None:
         rows[:, at.FIXTURE] = planes.fixtures
+    if planes.of_axis is not None:
+        rows[:, at.POINT] = planes.of_axis
     rows[:, at.PUSH] = step.multipliers
     return whole.tobytes(), n, 0.0
 
 
-# What makes each field of a step out of what a tick left: its record, n, and when it began [s].
+# How each field is made from a tick's record, the number of joints n, and when it began [s].
 _CUT: dict[str, Callable[[bytes, int, float], Any]] = {
     "q": lambda record, n, _: numbers_of(record, at.HEAD, n),
     "tip": lambda record, n, _: tip_of(record),

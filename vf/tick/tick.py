@@ -1,9 +1,9 @@
 """A tick in one compiled call: from measured joints and target to checked joints, planes and force.
 
-`tick` goes on until it is done or has a question that only Python can answer: an arm or a fixture
-of the user's own, the side of a tip that no step led to, a problem that is left to a solver. It
-then says which, and goes on from there when it is called again. All it works with is in a block
-(`vf.tick.block`), described in `vf.layout`.
+`tick` runs until it is done or needs an answer from Python: from an arm or a fixture that only has
+Python methods, whether a tip is inside (where no checked step led to it), or from a solver. It then
+returns which answer it needs, and continues from there when it is called again. Its memory is one
+block (`vf.tick.block`), described in `vf.layout`.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from vf.planes import LARGEST
 from vf.qp.problem import JOINT_RANGE, desired_step, fill_rows, obeys, usable
 from vf.qp.solver import Solver
 from vf.tick.attempts import ask, bisect, next_attempt, set_trial, settle, shortened
-from vf.tick.chain import LINK, jacobian, tip_pose
+from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
 from vf.tick.report import write_report
-from vf.tick.search import search_planes, set_radius, sides_known
+from vf.tick.search import search_bodies, search_planes, set_radius, sides_known
 
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 
 
 @njit(cache=True)
 def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
-    """Begin a tick, or go on with it.
+    """Begin a tick, or continue it.
 
     Args:
         address: of the words (at.WORDS,) of the block.
         q: joint positions [rad or m], the same throughout a tick.
         goal: (4, 4) pose of the target, base frame, likewise.
-        phase: at.BEGIN, or what the last call asked for.
+        phase: BEGIN, or the phase that the last call returned.
 
     Returns:
-        How many planes the report has: the tick is done. Or less than zero: minus the phase to go
-        on with when its question is answered, or minus the reason why there is nothing to do.
+        The number of planes in the report: the tick is done. Or less than zero: minus the phase to
+        continue with when its question is answered, or minus the reason why there is no step.
     """
     words = numba.carray(integers_at(address), (at.WORDS,))
     n = words[at.JOINTS]
@@ -63,6 +63,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
     points = words[at.POINTS]
     places = numba.carray(floats_at(words[at.PLACES]), (points, 3))
     jacobians = numba.carray(floats_at(words[at.JACOBIANS]), (points, 3, n))
+    guards = numba.carray(floats_at(words[at.GUARDS]), (points, at.GUARD))
     if phase == at.PLACED:
         numbers[at.MARKS] = now()
         if words[at.LINKS] == 0 and not _placed(start, J):
@@ -73,6 +74,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             places[0, k] = start[k, 3]
             for j in range(n):
                 jacobians[0, k, j] = J[k, j]
+        if points > 1:
+            _place_bodies(words, table[at.POSITION], guards, places, jacobians)
         if not sides_known(words, places[0]):
             return -at.SIDED
         phase = at.SIDED
@@ -83,6 +86,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             return -at.FOUND
         phase = at.FOUND
 
+    if phase == at.FOUND and words[at.BODIES] > 0:
+        search_bodies(words, numbers, planes, places, jacobians, guards, table)
     m = words[at.COUNT]
     bounds = numba.carray(floats_at(words[at.BOUNDS]), (words[at.ROOM],))
     multipliers = numba.carray(floats_at(words[at.MULTIPLIERS]), (words[at.ROOM],))
@@ -94,6 +99,10 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         whole = reach >= numbers[at.SEARCHED]
         numbers[at.FARTHEST] = reach - numbers[at.BEYOND] if whole else reach
         numbers[at.LONGEST] = min(numbers[at.ALLOWED], numbers[at.TIP_REACH])
+        if words[at.STUCK] > 0:
+            numbers[at.ALLOWED] = 0.0
+        guards[0, at.PATH_LIMIT] = numbers[at.FARTHEST]
+        guards[0, at.STEP_LIMIT] = numbers[at.LONGEST]
         numbers[at.MARKS + 1] = now()
         desired_step(
             start,
@@ -111,7 +120,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             table[at.UPPER, j] = max(table[at.HIGHEST, j] - table[at.POSITION, j], 0.0)
         rows = numba.carray(floats_at(words[at.ROWS]), (words[at.ROOM], n))
         numbers[at.DISTANCE], numbers[at.DEFICIT] = fill_rows(
-            planes, m, places, jacobians, numbers[at.STANDOFF], numbers[at.TIP_RADIUS], rows, bounds
+            planes, m, places, jacobians, numbers[at.STANDOFF], guards, rows, bounds
         )
         words[at.STAGE] = at.WHOLE
         if ask(words, numbers, table, bounds, scratch, multipliers):
@@ -129,7 +138,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             if words[at.STAGE] <= at.RELAXED:
                 infeasible = words[at.SOLVER] == INFEASIBLE
                 if infeasible and numbers[at.DEFICIT] > 0.0 and words[at.STAGE] == at.WHOLE:
-                    # Recovery may be more than the joints can do; standing still never is.
+                    # The joints may not be able to recover that fast: zero motion obeys these rows.
                     for i in range(m):
                         bounds[i] = min(bounds[i], 0.0)
                     words[at.STAGE] = at.RELAXED
@@ -141,8 +150,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                     planes[i, at.PUSH] = multipliers[i]
                 moves = shortened(numbers, table, J, scratch, at.STEP)
                 numbers[at.MARKS + 2] = now()
-                if not moves:
-                    numbers[at.SHARE] = 1.0
+                if not moves or words[at.STUCK] > 0:
+                    numbers[at.SHARE] = 0.0 if words[at.STUCK] > 0 else 1.0
                     table[at.TRIAL] = table[at.POSITION]
                     tip[:] = start
                     return write_report(words, numbers, table, goal, tip, planes, places[0])
@@ -159,20 +168,21 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if phase == at.TRIED:
             for k in range(3):
                 trials[0, k] = tip[k, 3]
-            allowed = obeys(
-                planes, m, places, trials, bulges, numbers[at.FARTHEST], numbers[at.LONGEST]
-            )
+            if points > 1:
+                chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+                place_points(chain, table[at.TRIAL], guards, trials)
+            allowed = obeys(planes, m, places, trials, bulges, guards)
             if allowed and words[at.INSIDE] > 0:
                 return -at.JUDGED
         else:
             allowed = words[at.ANSWER] > 0
         if allowed and words[at.STAGE] < at.PART:
-            # The optimum in the tick's bounds, whichever way it was had.
+            # The optimum within the tick's bounds, of the first or the corrected problem.
             numbers[at.SHARE] = 1.0
             return write_report(words, numbers, table, goal, tip, planes, trials[0])
         phase = next_attempt(
-            words, numbers, table, planes, places, trials, jacobians, bulges, scratch, multipliers,
-            allowed, start, tip,
+            words, numbers, table, planes, places, trials, jacobians, guards, bulges, scratch,
+            multipliers, allowed, start, tip,
         )  # fmt: skip
         if phase == at.SOLVED:
             if words[at.LEFT] > 0:
@@ -196,8 +206,19 @@ def _place(words, q, pose):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _place_bodies(words, q, guards, places, jacobians):  # type: ignore[no-untyped-def]
+    """Guarded points but the tip, and their Jacobians, for joints q (n,) that `_place` was for."""
+    chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+    axes = numba.carray(floats_at(words[at.AXES]), (words[at.LINKS], 6))
+    place_points(chain, q, guards, places)
+    for p in range(1, places.shape[0]):
+        joints = int(guards[p, at.ANCHOR])
+        point_jacobian(chain, axes, joints, places[p, 0], places[p, 1], places[p, 2], jacobians[p])
+
+
+@njit(cache=True)
 def _placed(start, J):  # type: ignore[no-untyped-def]
-    """Whether an arm that answers itself said where its tip (3, 4) is and how it moves (6, n)."""
+    """Whether pose (3, 4) and Jacobian (6, n) that an arm computed in Python are usable numbers."""
     total = 0.0
     for k in range(3):
         if not abs(start[k, 3]) <= LARGEST:

@@ -167,7 +167,7 @@ def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-un
                 j -= 1
         left = i - first
         if 10 * left < count or 10 * left > 9 * count:
-            # A lopsided mean (equal centroids, a few far triangles): sort, and cut in the middle.
+            # An uneven split (equal centroids, a few far triangles): sort, and cut in the middle.
             keys = (
                 dx * centroids[first:last, 0]
                 + dy * centroids[first:last, 1]
@@ -192,7 +192,7 @@ def _build(corners, centroids, boxes, links, order, leaf):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def _quadruple(boxes, links, nodes):  # type: ignore[no-untyped-def]
-    """Leave every other level of a binary tree out: fill `nodes`, see `Tree`; their number.
+    """Fill `nodes` (see `Tree`) with every other level of a binary tree; returns their number.
 
     A node comes before its children, and its subtree before its next sibling's.
     """

@@ -15,8 +15,9 @@ from vf.tree.pdtree import (
 )
 from vf.tree.sides import inner_side
 
-# Nodes that `Surface.nearest` visits before it lets other threads have the interpreter. Few walks
-# take as many (some 10 µs), and to hand it over costs a tenth of a walk, far more if it is wanted.
+# Nodes that `Surface.nearest` visits before it releases the interpreter lock. Few walks take as
+# many (some 10 µs); to release it costs a tenth of a walk, and far more if another thread waits for
+# it.
 PATIENCE = 500
 UNFINISHED = -3
 
@@ -28,11 +29,11 @@ def nearest(nodes, corners, x, y, z, limit, guess, patience, turn):  # type: ign
     With a `turn` of 1 or −1 only triangles count that the point is strictly on the inner side of
     (`sides.inner_side`), with 0 all do.
 
-    `guess` is a row to look at first, or −1: a tool that moves by micrometres stays near the same
+    `guess` is a row to test first, or −1: a tool that moves by micrometres stays near the same
     triangle, and knowing its distance halves the walk. The answer does not depend on it: of several
     triangles at the same distance the first row counts.
 
-    The walk is given up after `patience` nodes; the row is then `UNFINISHED`.
+    The walk ends after `patience` nodes; the row is then `UNFINISHED`.
     """
     waiting = np.empty((STACK, 2))  # node and squared distance of its box
     best = limit * limit if limit < 1e150 else np.inf
@@ -86,7 +87,7 @@ def nearest(nodes, corners, x, y, z, limit, guess, patience, turn):  # type: ign
 def nearest_face(nodes, corners, p, limit, guess, patience):  # type: ignore[no-untyped-def]
     """`nearest` for one call from Python: distance and row; p (3,) becomes the closest point.
 
-    p is left alone where the row is −1 (nothing within `limit`), −2 (p is not finite) or
+    p is unchanged where the row is −1 (nothing within `limit`), −2 (p is not finite) or
     `UNFINISHED` (patience was not enough).
     """
     x, y, z = p[0], p[1], p[2]
@@ -101,7 +102,7 @@ def nearest_face(nodes, corners, p, limit, guess, patience):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def nearest_face_freely(nodes, corners, p, limit, guess):  # type: ignore[no-untyped-def]
-    """`nearest_face` to the end, while other threads have the interpreter."""
+    """`nearest_face` without a limit of nodes, with the interpreter lock released."""
     return nearest_face(nodes, corners, p, limit, guess, -1)
 
 

@@ -1,8 +1,8 @@
 """Principal-direction tree over triangles: a hierarchy of boxes turned along their content.
 
 A node is a box in the frame of the principal directions of its triangles' corners. It is split at
-the mean along the first direction, and each half once more along its own: a node has up to four
-children, which is a walk of half as many steps for little more than the same boxes. A leaf holds a
+the mean along the first direction, and each half once more along its own first direction: a node
+has up to four children, so a walk opens half as many nodes as in a binary tree. A leaf holds a
 handful of triangles. Everything lies in flat arrays, siblings and their triangles side by side.
 
 Small kernels are left to LLVM to inline: numba's own inlining counts references to arrays at every
@@ -19,7 +19,7 @@ from vf.kernels import njit
 from vf.planes import FloatArray, IntArray
 from vf.tree.closest import closest_on_triangle, distance2_to_triangle
 
-# More than ever waits in a walk: three for each two splits, none of which is worse than 1 : 9.
+# Capacity of a walk's stack: three entries for each two splits, none of which is worse than 1 : 9.
 STACK = 256
 # A computed distance that exceeds the true one by no more than this counts as exact [m].
 EXACT = 1e-12

@@ -1,4 +1,4 @@
-"""On which side of a triangle's plane a point is, where rounding does not leave it open."""
+"""On which side of a triangle's plane a point is, or that rounding leaves it undecided."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ DETERMINANT = 16.0 * 1.2e-16
 
 @njit(cache=True, nogil=True)
 def side(ax, ay, az, bx, by, bz, cx, cy, cz, x, y, z):  # type: ignore[no-untyped-def]
-    """Sign of (b − a) × (c − a) · (x − a), 0 where rounding leaves it open.
+    """Sign of (b − a) × (c − a) · (x − a), 0 where rounding leaves it undecided.
 
-    Differences of coordinates are exact to half a unit in the last place, so what can be wrong is a
-    share of the magnitudes of the terms, wherever the origin is.
+    Differences of coordinates are exact to half a unit in the last place, so the error is bounded
+    by a share of the magnitudes of the terms, independent of where the origin is.
     """
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = cx - ax, cy - ay, cz - az

@@ -25,7 +25,7 @@ def within(nodes, corners, order, x, y, z, radius, triangles):  # type: ignore[n
     """
     waiting = np.empty(STACK, dtype=np.int32)
     r2 = radius * radius
-    # Boxes within a hair of the sphere are opened: the exact test is the triangle's.
+    # Boxes are tested with a relative margin of 1e-9: the exact test is that of the triangle.
     reach2 = r2 * (1.0 + 1e-9) + 1e-30
     sure2 = r2 * (1.0 - 1e-9) - 1e-30
     waiting[0] = 0

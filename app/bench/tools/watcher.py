@@ -12,7 +12,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Self
 
 WINDOW = {"width": 1440, "height": 900}  # [CSS px]
@@ -78,12 +77,7 @@ class Watcher:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def request(self, word: str) -> dict[str, Any]:

@@ -62,14 +62,8 @@ class Kerf:
         return np.asarray(-self.bottom)
 
 
-def kerf(
-    planned: PlannedCut,
-    tips: ArrayLike,
-    blade: Blade | None = None,
-    stations: ArrayLike | None = None,
-    thickness: float = THICKNESS,
-) -> Kerf:
-    """Remove the bone that the blade swept.
+def kerf(planned: PlannedCut, tips: ArrayLike, blade: Blade | None = None) -> Kerf:
+    """Remove the bone that the blade swept; measured at every `INTERVAL` along the planned cut.
 
     Every cross-section is cut by the part of the tip's path that is within half the blade's
     thickness of it; the path is linear between ticks.
@@ -78,13 +72,10 @@ def kerf(
         planned: the planned cut at the true pose of the bone.
         tips: (n, 3) positions of the tip, same frame [m].
         blade: None: the default one.
-        stations: (k,) along the planned cut [m]; None: every `INTERVAL`.
-        thickness: of the bone [m].
     """
     blade = blade or Blade()
-    if stations is None:
-        stations = INTERVAL * np.arange(1, round(planned.length / INTERVAL - 0.49) + 1)
-    marks = np.asarray(stations, dtype=np.float64)
+    count = round(planned.length / INTERVAL - 0.49)
+    marks = np.asarray(INTERVAL * np.arange(1, count + 1), dtype=np.float64)
     points = np.asarray(tips, dtype=np.float64)
     found = np.full((4, len(marks)), np.nan)
     for k, mark in enumerate(marks):
@@ -96,8 +87,8 @@ def kerf(
             continue
         found[0, k] = cut[:, 1].min() - 0.5 * blade.width
         found[1, k] = cut[:, 1].max() + 0.5 * blade.width
-        found[2, k] = thickness + max(cut[:, 2].min(), -blade.limit)
-        found[3, k] = (found[1, k] - found[0, k]) * (thickness - max(found[2, k], 0.0))
+        found[2, k] = THICKNESS + max(cut[:, 2].min(), -blade.limit)
+        found[3, k] = (found[1, k] - found[0, k]) * (THICKNESS - max(found[2, k], 0.0))
     return Kerf(marks, *found)
 
 

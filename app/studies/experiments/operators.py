@@ -61,11 +61,11 @@ class Operator:
         0.648e-3, "m", CALIBRATED, "slow error along the line of sight, standard deviation"
     )
     image_error: float = _parameter(
-        0.191e-3, "m", CALIBRATED, "slow error aside in the picture, standard deviation"
+        0.191e-3, "m", CALIBRATED, "slow lateral error in the picture, standard deviation"
     )
     slow: float = _parameter(
         5.0, "s", "assumed: some submovements, well below a trial",
-        "time in which the slow errors forget themselves",
+        "correlation time of the slow errors",
     )  # fmt: skip
     session_spread: float = _parameter(
         0.2, "of the bias", "assumed", "by which the bias differs between trials, std. deviation"

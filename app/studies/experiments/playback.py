@@ -73,8 +73,8 @@ def scene(recorded: Recorded) -> Scene:
         robot=place.arm.name,
         arm=place.arm.copy(),
         notes=(
-            f"Trial {trial.key}, played as the autopilot. Drawn is the skull where it is; guarded "
-            "is its inner surface where the registration believes it.",
+            f"Trial {trial.key}, played as the autopilot. The skull is drawn at its true pose; "
+            "its inner surface is guarded at the registered one.",
         ),
         start=place.arm.inverse(place.T_base_start, start=place.arm.neutral),
         T_base_start=place.T_base_start,

@@ -52,7 +52,7 @@ class Comparison:
         return self.p < SIGNIFICANT
 
 
-def paired(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
+def paired(off: ArrayLike, assisted: ArrayLike) -> Comparison:
     """Paired t-test of values (n,) and (n,).
 
     Raises:
@@ -64,7 +64,7 @@ def paired(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
     result = stats.ttest_rel(b, a)
     interval = result.confidence_interval(LEVEL)
     gains = b - a
-    low, high = _bootstrap((gains,), _standardised, seed)
+    low, high = _bootstrap((gains,), _standardised)
     return Comparison(
         "paired t", _summary(a), _summary(b), (len(a), len(b)),
         float(result.statistic), float(result.df), float(result.pvalue),
@@ -73,7 +73,7 @@ def paired(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
     )  # fmt: skip
 
 
-def welch(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
+def welch(off: ArrayLike, assisted: ArrayLike) -> Comparison:
     """Welch's t-test of independent values (n,) and (m,).
 
     Raises:
@@ -87,7 +87,7 @@ def welch(off: ArrayLike, assisted: ArrayLike, seed: int = 0) -> Comparison:
             warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
         result = stats.ttest_ind(b, a, equal_var=False)
     interval = result.confidence_interval(LEVEL)
-    low, high = _bootstrap((b, a), hedges, seed)
+    low, high = _bootstrap((b, a), hedges)
     return Comparison(
         "Welch", _summary(a), _summary(b), (len(a), len(b)),
         float(result.statistic), float(result.df), float(result.pvalue),
@@ -131,16 +131,14 @@ def _standardised(gains: FloatArray, axis: int = -1) -> FloatArray:
         return np.asarray(gains.mean(axis=axis) / gains.std(axis=axis, ddof=1))
 
 
-def _bootstrap(
-    samples: tuple[FloatArray, ...], statistic: object, seed: int
-) -> tuple[float, float]:
+def _bootstrap(samples: tuple[FloatArray, ...], statistic: object) -> tuple[float, float]:
     if min(map(len, samples)) < RESAMPLED:
         return np.nan, np.nan
     # A resample may consist of equal values, whose deviation is 0.
     with np.errstate(invalid="ignore", divide="ignore"):
         result = stats.bootstrap(
             samples, statistic, confidence_level=LEVEL, n_resamples=2000, method="percentile",
-            rng=np.random.default_rng(seed), vectorized=True,
+            rng=np.random.default_rng(0), vectorized=True,
         )  # fmt: skip
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
 

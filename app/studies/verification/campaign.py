@@ -9,7 +9,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 import robots
@@ -103,7 +102,7 @@ def drive(
         dt=scene.period, standoff=max(scene.standoff, 4.0 * bound), tip_radius=tip_radius
     )
     while result.ticks < steps:
-        q = _random_joints(arm, rng)
+        q = random_joints(arm, rng)
         tip = arm.tip(q)
         around = scenes.Surroundings(
             scene,
@@ -169,7 +168,7 @@ def _judge(
     return crossed
 
 
-def _random_joints(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
+def random_joints(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
     """Random joint positions; a third of them with some joints exactly at their limits."""
     share = rng.uniform(0.02, 0.98, len(arm.lower))
     if rng.random() < 1.0 / 3.0:
@@ -287,26 +286,3 @@ def planes_of(
     if rule == "all":
         return vf.every_plane(surface, x, radius)
     return vf.Planes.none(radius)
-
-
-def rest(
-    surface: vf.Surface,
-    rule: str,
-    radius: float,
-    start: FloatArray,
-    proxy: FloatArray,
-    ticks: int = 4000,
-) -> FloatArray:
-    """Rest position (3,) of the `point` arm that starts at `start` and follows `proxy`, (3,)."""
-    arm = robots.load("point")
-    controller = vf.Controller(arm, [vf.MeshFixture(surface, rule, radius)])
-    goal = pin.SE3(np.eye(3), proxy)
-    q = start.copy()
-    still = 0
-    for _ in range(ticks):
-        step = controller.step(q, goal)
-        still = still + 1 if np.abs(step.q - q).max() < 1e-8 else 0
-        q = step.q
-        if still >= 20:
-            break
-    return q

@@ -18,7 +18,7 @@ LINES = (
     "follows.",
     "Pull it <b>into the bone</b>: the tool stops at the surface, held by the fixture’s planes.",
     "<b>Discs</b> are those planes, their colours the paper’s conditions (tab Legend); a strong "
-    "one is leaned on.",
+    "one is active.",
     "The <b>ball</b> is the motion sphere: one tick moves the tool within it, so only the "
     "triangles it cuts count.",
     "The <b>orange arrow</b> is the simulated force on a surgeon’s hand: stiffness × distance from "

@@ -75,8 +75,8 @@ class Views:
             )
             self._group(
                 "Section",
-                "Cut away what of the anatomy is between the tool’s tip and your eye; everybody "
-                f"sees it cut. Key {SECTION_KEY}.",
+                "Hide the part of the anatomy between the tool’s tip and your eye, for all "
+                f"clients. Key {SECTION_KEY}.",
                 {"Cut at the tip, or not": section},
             )
             self._group(

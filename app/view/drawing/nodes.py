@@ -1,4 +1,4 @@
-"""Nodes of the scene that are created hidden and receive their geometry later."""
+"""Lights of the scene, and nodes, mostly created hidden; their geometry or place follows."""
 
 from __future__ import annotations
 
@@ -36,3 +36,36 @@ def lines(
         thickness_units="screen",
         visible=False,
     )
+
+
+def dot(
+    api: viser.SceneApi, name: str, color: Rgb, size: float, visible: bool = False
+) -> viser.PointCloudHandle:
+    """A round point; `size` [scene units]."""
+    return api.add_point_cloud(
+        name,
+        points=np.zeros((1, 3), dtype=np.float32),
+        colors=np.array([color], dtype=np.uint8),
+        point_size=size,
+        point_shape="circle",
+        visible=visible,
+    )
+
+
+def ball(api: viser.SceneApi, name: str, color: Rgb) -> viser.IcosphereHandle:
+    """A hidden ball of radius 1 [scene units] without shadows."""
+    return api.add_icosphere(
+        name, radius=1.0, color=color, cast_shadow=False, receive_shadow=False, visible=False
+    )
+
+
+def add_lights(api: viser.SceneApi) -> None:
+    """Hemisphere light and one directional light, without shadows."""
+    # viser's own lights wash out light colours such as bone.
+    api.configure_default_lights(False, cast_shadow=False)
+    # Without a graphics card an environment map takes some hundred times the time of all the rest.
+    api.configure_environment_map(None)
+    api.add_light_hemisphere(
+        "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=1.7
+    )
+    api.add_light_directional("/light/sun", intensity=1.9, position=(60.0, 10.0, 60.0))

@@ -35,7 +35,7 @@ _EDGES = {
     Edge.RIDGE: "a ridge",
     Edge.VALLEY: "a valley",
     Edge.FLAT: "flat",
-    Edge.BOUNDARY: "an open rim",
+    Edge.BOUNDARY: "a boundary",
     Edge.NON_MANIFOLD: "shared by more than two faces",
 }
 _SHORT = {
@@ -67,7 +67,7 @@ def reason(report: TriangleReport, subject: Subject) -> str:
                 text = f"Condition 2: {it} is on a ridge, and the neighbour’s is the same: "
             text += "one plane for both, facing the tool."
             if report.verdict is Verdict.SHARED:
-                text += f" It stands under {subject.name(report.owner)}."
+                text += f" It is listed as that of {subject.name(report.owner)}."
             return text
         case Verdict.VALLEY:
             return (
@@ -79,7 +79,7 @@ def reason(report: TriangleReport, subject: Subject) -> str:
         case Verdict.APART:
             return (
                 f"Passed over: closest point {on}, neighbour’s closest point differs. The "
-                "neighbour is nearer and answers for both."
+                "neighbour is nearer: its conditions decide."
             )
         case Verdict.BEHIND_VALLEY:
             return f"Passed over: {it} is {on} that is a valley, but the tool is behind the face."
@@ -283,10 +283,10 @@ def _plane(inspection: Inspection, report: TriangleReport) -> str:
         push, share = inspection.push(under)
         if push > MIN_PUSH:
             most = " It blocks the way." if push == inspection.multipliers.max() else ""
-            strong = f"The QP leans on it: pushed back by {push * 1e3:.3f} mm, {share:.0%}.{most}"
+            strong = f"Active in the QP: pushed back by {push * 1e3:.3f} mm, {share:.0%}.{most}"
             text += f"<br><b>{strong}</b>"
         else:
-            text += "<br>The QP does not lean on it now."
+            text += "<br>Not active in the QP now."
     return f"<div class='vf-push' style='margin-top:3px'>{text}</div>"
 
 

@@ -37,8 +37,8 @@ MAX_PROBE_DISTANCE = 2.0  # reject probe positions farther than this from the ba
 
 _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-soft)"
 _INTRO = (
-    f"<div style='{_NOTE}'>Colours every triangle in the motion sphere by what the paper’s "
-    "conditions make of it. Click one on the anatomy, or step through them.</div>"
+    f"<div style='{_NOTE}'>Colours every triangle in the motion sphere by the condition of "
+    "the paper that it meets. Click one on the anatomy, or step through them.</div>"
 )
 
 
@@ -184,7 +184,7 @@ class InspectorTab(Part):
         self._freeze: Any = gui.add_checkbox(
             "Freeze and explore",
             False,
-            hint="Pauses the loop. Drag the yellow probe and watch the conditions fire.",
+            hint="Pauses the loop. Drag the yellow probe and watch the conditions change.",
         )
         self._cases: Any = gui.add_dropdown(
             "Explore",
@@ -333,7 +333,7 @@ class InspectorTab(Part):
         self._probe.show_case(None, np.eye(3), np.zeros(3))
         self._expect.content = (
             f"<div class='vf-expect' style='{_NOTE}'>The loop is paused. Drag the yellow probe "
-            "over the surface: over a face Condition 1 fires, over a ridge 2, in a valley 3.</div>"
+            "over the surface: over a face Condition 1 holds, over a ridge 2, in a valley 3.</div>"
         )
         x = beside_tool(scene.surface, np.array(tip.translation), radius)
         self._place_probe(x)

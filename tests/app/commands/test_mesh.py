@@ -68,7 +68,7 @@ def test_repair_writes_a_sound_file_in_the_same_unit(
     assert "exists already" in capsys.readouterr().err
     assert out.read_bytes() == before
     assert main(["mesh", "repair", "torus", str(out), "--overwrite"]) == 0
-    assert "nothing to mend" in capsys.readouterr().out
+    assert "nothing to repair" in capsys.readouterr().out
 
 
 def test_repair_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,7 +63,7 @@ def in_mesh(scene: Scene, p_base: np.ndarray) -> np.ndarray:
     return (p_base - scene.T_base_mesh[:3, 3]) @ scene.T_base_mesh[:3, :3]
 
 
-def leaned(telemetry: Telemetry) -> set[int]:
+def pushing_rules(telemetry: Telemetry) -> set[int]:
     """Rules of the planes that push the tool back."""
     step = telemetry.step
     assert step is not None
@@ -99,7 +99,7 @@ def test_the_slide_into_the_orbit_ends_in_its_hollow(played: Played) -> None:
     assert abs(truth.winding(path[-1])) < 0.5
     # How deep below a cloth that is spanned over the skull, without using any of its triangles.
     hull = ConvexHull(surface.vertices)
-    touched = next(k for k, t in enumerate(seen) if leaned(t))
+    touched = next(k for k, t in enumerate(seen) if pushing_rules(t))
     first, last = path[[touched, -1]] @ hull.equations[:, :3].T + hull.equations[:, 3]
     assert -first.max() < 1e-3
     assert -last.max() > 5e-3
@@ -122,7 +122,7 @@ def test_the_thin_plate_is_guarded_from_both_sides(played: Played) -> None:
 
 def test_in_the_gap_of_the_gear_the_tool_leans_on_a_valley(played: Played) -> None:
     scene, seen = played("valley-of-the-gear")
-    assert vf.Rule.VALLEY in leaned(seen[-1])
+    assert vf.Rule.VALLEY in pushing_rules(seen[-1])
     p = in_mesh(scene, tips(seen)[-1])
     # Between the teeth: below their tips, above the root circle.
     assert 0.0305 < math.hypot(p[0], p[1]) < 0.036
@@ -134,7 +134,7 @@ def test_on_the_saddle_there_are_ridges_and_valleys(played: Played) -> None:
     step = seen[-1].step
     assert step is not None
     assert {vf.Rule.RIDGE, vf.Rule.VALLEY} <= set(step.planes.rules.tolist())
-    assert leaned(seen[-1])
+    assert pushing_rules(seen[-1])
     assert np.linalg.norm(in_mesh(scene, tips(seen)[-1])[:2]) < 1.5e-3
 
 
@@ -166,7 +166,7 @@ def test_the_million_triangles_are_all_in_force(played: Played) -> None:
     assert f"{len(scene.surface.faces) // 1000} thousand" in PRESETS["million-triangles"].about
     path = tips(seen)
     assert Oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
-    sliding = [k for k, t in enumerate(seen) if leaned(t)]
+    sliding = [k for k, t in enumerate(seen) if pushing_rules(t)]
     assert np.linalg.norm(np.diff(path[sliding], axis=0), axis=1).sum() > 0.02
 
 

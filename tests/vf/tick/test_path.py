@@ -130,7 +130,7 @@ def test_targets_of_no_use_are_refused_and_the_arm_stays(target: object) -> None
 
 
 def test_every_setting_has_a_range_and_becomes_a_float() -> None:
-    assert {*RANGES, "solver"} == {field.name for field in fields(vf.Settings)}
+    assert {*RANGES, "solver", "guard"} == {field.name for field in fields(vf.Settings)}
     for name, (low, high, _unit) in RANGES.items():
         assert type(getattr(vf.Settings(**{name: np.float32(max(low, 0.5))}), name)) is float
         for bad in (
