@@ -13,6 +13,7 @@ from app.words import OptionError
 
 ROBOTS = ("psm", "point", "panda", "ur5")
 RULES = ("certified", "paper", "all", "off")
+GUARDS = ("tip", "tool")
 AXES = ("z", "-z", "y", "-y", "x", "-x")
 UNITS = ("m", "cm", "mm", "in")
 FRAMES = ("RAS", "LPS")

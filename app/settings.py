@@ -100,6 +100,18 @@ class Options(Checked):
         "Which planes guard the tool: paper has its Conditions 1-3, all takes every face.",
         Scope.FIXTURE,
     )  # fmt: skip
+    guard: str = option(
+        OneOf("guard", choices.GUARDS), "tool",
+        "What the certified rule keeps out of the anatomy: tool is every part of the instrument, "
+        "tip its tip alone. The other rules guard the tip alone.",
+        Scope.FIXTURE,
+    )  # fmt: skip
+    trocar: float = option(
+        Length(0.0, 0.1), 0.0,
+        "With guard tool: radius of the ball around the remote centre in which the shaft may pass "
+        "through the mesh, as through a port; 0: nowhere. Only the psm has one.",
+        Scope.FIXTURE,
+    )  # fmt: skip
     radius: float | None = option(
         Maybe(Length(5e-5, 2e-2), "auto"), 5e-3,
         "Radius of the motion sphere; 5mm is the paper's preset, auto the largest step of a tick.",
@@ -167,6 +179,11 @@ class Options(Checked):
     def dt(self) -> float:
         """Length of a tick [s]."""
         return 1.0 / self.rate
+
+    @property
+    def guards_tool(self) -> bool:
+        """Whether all parts of the instrument are guarded, and not only its tip."""
+        return self.guard == "tool" and self.rule == "certified"
 
 
 DECLARED = declared(Options)

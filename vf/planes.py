@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf.layout import CAPSULE, FIXTURE, FLOOR, FOOT, NORMAL, OFFSET, RULE, TRIANGLE
+from vf.layout import CAPSULE, FIXTURE, FLOOR, FOOT, NORMAL, OFFSET, POINT, RULE, TRIANGLE
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -89,6 +90,8 @@ class Planes:
         capsules: (m,) number of the body of the instrument that a plane holds, 0: the tip; None:
             all of them the tip.
         fixtures: (m,) number of the controller's fixture that a plane is of; None: of one alone.
+        of_axis: (m,) whether a plane holds the ends of its capsule's axis, and not the centre of
+            the tip, from which the first capsule's axis may end apart; None: none does.
     """
 
     normals: FloatArray
@@ -100,6 +103,7 @@ class Planes:
     floors: FloatArray | None = None
     capsules: IntArray | None = None
     fixtures: IntArray | None = None
+    of_axis: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -115,6 +119,16 @@ class Planes:
         """Signed room n·y − o of a tip centre y (3,) at every plane, (m,) [m]."""
         return self.normals @ y - self.offsets
 
+    def of_tip(self) -> Planes:
+        """Those that hold the centre of the tip alone."""
+        if self.of_axis is None or not self.of_axis.any():
+            return self
+        kept = ~self.of_axis
+        arrays: dict[str, Any] = {
+            name: array[kept] for name, array in vars(self).items() if isinstance(array, np.ndarray)
+        }
+        return replace(self, **arrays)
+
 
 def planes_of(records: FloatArray, radius: float) -> Planes:
     """Planes valid in `radius` [m] from their records (m, PLANE), as arrays of their own."""
@@ -129,6 +143,7 @@ def planes_of(records: FloatArray, radius: float) -> Planes:
         records[:, FLOOR].copy(),
         whole[:, 2].copy(),
         whole[:, 3].copy(),
+        records[:, POINT] > 0.0,
     )
 
 

@@ -220,8 +220,10 @@ class Engine:
         elif new.scene != old.scene:
             self._measure()
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
-            if not stays or not is_free(
-                new.surface, new.arm.tip(self._q).translation, new.clearance
+            if (
+                not stays
+                or not is_free(new.surface, new.arm.tip(self._q).translation, new.clearance)
+                or _stuck(new, self._q)
             ):
                 self._move_to(_frozen(new.q0))
             self._autopilot_since = None
@@ -290,6 +292,14 @@ class Engine:
             self._step = self._step.held(self._q, tip, vf.Status.HELD)
         else:
             self._step = None
+
+
+def _stuck(plant: Plant, q: NDArray[np.float64]) -> bool:
+    """Whether a part of a guarded instrument is in the mesh at joints q (n,): nothing moves it."""
+    if not plant.options.guards_tool:
+        return False
+    step = plant.controller.step(q, plant.arm.tip(q))
+    return bool(step.status is vf.Status.HELD)
 
 
 def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:

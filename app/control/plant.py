@@ -65,6 +65,8 @@ def assemble(description: Description, arm: Arm) -> Plant:
         tip_radius=options.tip_radius,
         force_gain=options.force_gain,
         tip_speed=options.tip_speed,
+        guard=options.guard,
+        trocar=options.trocar,
     )
     controller = vf.Controller(arm, fixtures, settings)
     # The first tick sets up the solver's workspace.

@@ -97,6 +97,20 @@ class Judge:
             found[0] = min(found[0], found[-1])
         return found[: len(self.arm.capsules)]
 
+    def clear(self, q: FloatArray, gap: float) -> bool:
+        """Whether every capsule is at least `gap` [m] away from the mesh."""
+        for k, axis in enumerate(self._axes(q)):
+            tree, _origin = self._tree(k)
+            reach = self.radii[k] + gap
+            near = boxes.near(tree, axis[0], axis[1], reach)
+            if len(near) and _nearest(tree, near, axis)[0] < reach:
+                return False
+        return True
+
+    def fastest(self, q: FloatArray, dq: FloatArray) -> float:
+        """Bound on how far any end of an axis moves while the joints go from q to q + dq [m]."""
+        return float(self._speeds(q, dq).max())
+
     def touches(self, q: FloatArray, q_new: FloatArray) -> list[Touch]:
         """The first contact of every capsule that has one, while the joints move from q to q_new.
 

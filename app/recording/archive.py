@@ -1,4 +1,4 @@
-"""Reads recordings of version 1, a zip archive of JSON and arrays; new ones are of version 2.
+"""Reads recordings of version 1, a zip archive of JSON and arrays; new ones are append-only.
 
 ``header.json`` has format, version, package versions, state, scenes, plants, the number of orders
 and of rows in each chunk, and why the recording ended; ``orders/<column>.npy`` and
@@ -65,8 +65,8 @@ class _Reader:
         if "header.json" not in self._members:
             raise RecordingError("not a recording: header.json is missing")
         header = entries.header(self._bytes("header.json", MAX_HEADER), entries.Archive, VERSION)
-        places = entries.places(header.places)
-        plants, courses = entries.plants(header.plants, len(places))
+        places = entries.places(header.places, VERSION)
+        plants, courses = entries.plants(header.plants, len(places), VERSION)
         chunks = header.chunks
         if sum(chunks) > MAX_ROWS:
             raise RecordingError(f"{sum(chunks):,} rows: at most {MAX_ROWS:,} are read")

@@ -20,6 +20,7 @@ from app.control.autopilot import Course
 from app.kinds import FARTHEST
 from app.options import plain
 from app.recording.format import (
+    ADDED,
     CHUNK,
     FORMAT,
     JOINTS,
@@ -156,23 +157,23 @@ def packages(head: Head) -> dict[str, str]:
     return {text(n, "package"): text(v, "version") for n, v in head.packages.items()}
 
 
-def places(entries: Sequence[PlaceEntry]) -> tuple[Place, ...]:
+def places(entries: Sequence[PlaceEntry], version: int) -> tuple[Place, ...]:
     """The scenes."""
     return tuple(
-        Place(_options(e.options), e.vertices, e.triangles, e.checksum, np.array(e.start))
+        Place(_options(e.options, version), e.vertices, e.triangles, e.checksum, np.array(e.start))
         for e in entries
     )
 
 
 def plants(
-    entries: Sequence[PlantEntry], places: int
+    entries: Sequence[PlantEntry], places: int, version: int
 ) -> tuple[tuple[tuple[int, Options], ...], tuple[Course | None, ...]]:
     """The plants and their courses; `places` is the number of scenes."""
     for entry in entries:
         if entry.place >= places:
             raise RecordingError(f"the place of a plant is {entry.place:,}, of {places:,}")
     return (
-        tuple((entry.place, _options(entry.options)) for entry in entries),
+        tuple((entry.place, _options(entry.options, version)) for entry in entries),
         tuple(None if entry.course is None else _course(entry.course) for entry in entries),
     )
 
@@ -198,7 +199,11 @@ def state(entry: StateEntry, joints: int) -> engine.State:
     )
 
 
-def _options(values: dict[str, Any]) -> Options:
+def _options(values: dict[str, Any], version: int) -> Options:
+    """The options, with those that this version did not have yet as they were then."""
+    for since, added in ADDED.items():
+        if version < since and not set(values) & set(added):
+            values = values | added
     if set(values) != set(RECORDED):
         odd = sorted(set(values) ^ set(RECORDED))[0][:40]
         raise RecordingError(f"the options in the header are not those of a session ({odd!a})")

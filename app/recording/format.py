@@ -1,6 +1,6 @@
 """Format of a recording: every order that took effect, every tick, and the state before them.
 
-A file of version 2 is append-only and consists of blocks: wherever the writing ends, all complete
+A file of version 3 is append-only and consists of blocks: wherever the writing ends, all complete
 blocks are readable. It is `MAGIC`, followed by
 
 - one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
@@ -23,7 +23,8 @@ newer one before the engine read it had no effect and is not in the file. Planes
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
 and checked against ``planes_crc``. Options of the server, such as host and port, are not recorded.
 
-Version 1 is still read, see `archive`.
+Older versions are still read. Version 2 lacks the options of `ADDED` and is else the same; version
+1 lacks them too, see `archive`.
 """
 
 from __future__ import annotations
@@ -42,8 +43,12 @@ from app.options import declared
 from app.settings import Options
 
 FORMAT = "vf-sandbox recording"
-VERSION = 2
-MAGIC = b"vf-sandbox recording 2\n"
+VERSION = 3
+MAGIC = b"vf-sandbox recording 3\n"
+MAGICS = {b"vf-sandbox recording 2\n": 2, MAGIC: VERSION}
+"""The versions of append-only files, by what they begin with; all equally long."""
+ADDED: dict[int, dict[str, object]] = {3: {"guard": "tip", "trocar": 0.0}}
+"""By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")
 LENGTH = struct.Struct("<I")
 HEAD, PART, LAST = b"HEAD", b"PART", b"LAST"

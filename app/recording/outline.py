@@ -10,7 +10,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.recording.format import LAST, LENGTH, MAGIC, MAX_BLOCK, MAX_HEADER, PART
+from app.recording.format import LAST, LENGTH, MAGIC, MAGICS, MAX_BLOCK, MAX_HEADER, PART
 from app.recording.read import blocks
 
 
@@ -33,7 +33,7 @@ def outline(path: Path) -> Outline:
     """The outline of a recording of any version; an empty one if the file is not a recording."""
     try:
         with path.open("rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
+            if file.read(len(MAGIC)) not in MAGICS:
                 return _archived(path)
             rows, ended, found = 0, False, set()
             size = os.fstat(file.fileno()).st_size

@@ -22,6 +22,7 @@ from app.recording.format import (
     LAST,
     LENGTH,
     MAGIC,
+    MAGICS,
     MAX_BLOCK,
     MAX_ORDERS,
     MAX_PLANTS,
@@ -29,7 +30,6 @@ from app.recording.format import (
     ORDERS,
     PART,
     ROWS,
-    VERSION,
     Recording,
     RecordingError,
     chained,
@@ -49,13 +49,13 @@ def read(path: Path | str) -> Recording:
     try:
         with open(path, "rb") as file:
             begins = file.read(len(MAGIC))
-            if begins == MAGIC:
-                return _recording(file, under_way(path))
-            if MAGIC.startswith(begins):
+            if begins in MAGICS:
+                return _recording(file, begins, under_way(path))
+            if any(magic.startswith(begins) for magic in MAGICS):
                 raise RecordingError("it was cut off before its first tick: there is nothing in it")
             if begins.startswith(FORMAT.encode()):
                 raise RecordingError(
-                    "it is of another version of the format: this program reads versions 1 and 2"
+                    "it is of another version of the format: this program reads versions 1 to 3"
                 )
             return archive.read(file)
     except RecordingError as error:
@@ -103,12 +103,12 @@ def blocks(file: BinaryIO, size: int) -> list[Block]:
     return found
 
 
-def _recording(file: BinaryIO, going: bool) -> Recording:
+def _recording(file: BinaryIO, magic: bytes, going: bool) -> Recording:
     size = os.fstat(file.fileno()).st_size
     listed = blocks(file, size)
     due = sum(block.rows for block in listed if block.kind == PART)
-    reader = _Reader(np.zeros(min(due, MAX_ROWS), dtype=ROWS))
-    crc, end = zlib.crc32(MAGIC), len(MAGIC)
+    reader = _Reader(np.zeros(min(due, MAX_ROWS), dtype=ROWS), MAGICS[magic])
+    crc, end = zlib.crc32(magic), len(magic)
     invalid = None
     for block in listed:
         file.seek(block.at)
@@ -143,8 +143,9 @@ class _Reader:
     Sizes are checked before memory is allocated for them.
     """
 
-    def __init__(self, rows: NDArray[Any]) -> None:
-        """`rows` is a buffer large enough for all rows."""
+    def __init__(self, rows: NDArray[Any], version: int) -> None:
+        """`rows` is a buffer large enough for all rows; `version` is the file's."""
+        self._version = version
         self._rows = rows
         self._filled = 0
         self._head: entries.Head | None = None
@@ -159,7 +160,7 @@ class _Reader:
         if self.ended or (block.kind == HEAD) != (self._head is None):
             raise RecordingError(f"a block {block.kind.decode()} is out of place")
         if block.kind == HEAD:
-            self._head = entries.header(content, entries.Head, VERSION)
+            self._head = entries.header(content, entries.Head, self._version)
         elif block.kind == PART:
             self._part(block.rows, content)
         else:
@@ -205,8 +206,8 @@ class _Reader:
         due = about.orders * ORDERS.itemsize + n * ROWS.itemsize
         if len(content) - at != due:
             raise RecordingError(f"a part of it has {len(content) - at:,} bytes, not {due:,}")
-        self._places += entries.places(about.places)
-        plants, courses = entries.plants(about.plants, len(self._places))
+        self._places += entries.places(about.places, self._version)
+        plants, courses = entries.plants(about.plants, len(self._places), self._version)
         self._plants += plants
         self._courses += courses
         if len(self._plants) > MAX_PLANTS:

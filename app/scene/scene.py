@@ -20,7 +20,8 @@ import vf
 from app.control.autopilot import Script, plan
 from app.control.engine import Plant, is_free
 from app.control.plant import Description, assemble, clearance, corridor
-from app.judges import meeting
+from app.judges import boxes, meeting
+from app.judges.nearest import gaps
 from app.scene.outside import shows_fronts_only
 from app.settings import Options
 from meshes.builtin.damage import damage
@@ -120,7 +121,13 @@ def build(
         )
 
     say("finding a free start for the tool")
-    start = free_start(arm, surface, clearance(options))
+    try:
+        start = free_start(arm, surface, clearance(options), options)
+    except ValueError:
+        if not options.guards_tool:
+            raise
+        start = free_start(arm, surface, clearance(options))
+        notes.append("No start was found at which all of the instrument is clear of the mesh.")
     T_base_start = arm.tip(start)
     return Scene(
         version=version,
@@ -220,17 +227,30 @@ def warm_up() -> None:
     meeting.warm_up()
 
 
-def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:
+def free_start(
+    arm: Arm, surface: vf.Surface, clearance: float, options: Options | None = None
+) -> FloatArray:
     """Joints (n,) with the tip outside the anatomy and farther than `clearance` [m] from it.
 
     The neutral ones if possible; otherwise increasing displacements of the tip are tried.
 
+    Args:
+        options: if they guard the whole tool, all of it keeps their standoff; None: its tip alone.
+
     Raises:
         ValueError: no such position within the arm's reach was found.
     """
+
+    def free(q: FloatArray) -> bool:
+        if not is_free(surface, arm.tip(q).translation, clearance):
+            return False
+        if options is None or not options.guards_tool:
+            return True
+        return bool(gaps(boxes.of(surface), arm, q, options.trocar).min() > options.standoff)
+
     neutral = arm.tip(arm.neutral)
     q = np.array(arm.neutral)
-    if is_free(surface, neutral.translation, clearance):
+    if free(q):
         return q
     for displacement in _displacements(surface.size):
         pose = pin.SE3(neutral.rotation, neutral.translation + displacement)
@@ -241,7 +261,7 @@ def free_start(arm: Arm, surface: vf.Surface, clearance: float) -> FloatArray:
         except robots.Unreachable:
             continue
         # Inverse kinematics may reach the pose only approximately: check the actual tip.
-        if is_free(surface, arm.tip(q).translation, clearance):
+        if free(q):
             return np.array(q)
     raise ValueError(
         f"no free spot for the tool of {arm.name}: the mesh fills its workspace "

@@ -31,11 +31,12 @@ from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
-from app.view.drawing import light
+from app.view.drawing import nodes
 from app.view.drawing.anatomy import Anatomy
 from app.view.drawing.arm import ArmDrawing
 from app.view.drawing.crossing import CrossingMark
 from app.view.drawing.fixture import FixtureDrawing
+from app.view.drawing.instrument import Instrument
 from app.view.drawing.labels import Labels
 from app.view.drawing.proxy import Proxy
 from app.view.drawing.ruler import Rulers
@@ -92,7 +93,7 @@ class Page:
             self._server = guard.serve(host, port, self._token, label="vf-sandbox", verbose=False)
         server, api = self._server, self._server.scene
         style.set_theme(server.gui, dark=False)
-        light.add_lights(api)
+        nodes.add_lights(api)
         self._source = Source(session)
         self._scene_version = -1
         self._anatomy = Anatomy(api)
@@ -100,6 +101,7 @@ class Page:
         self._rulers = Rulers(api, self._labels)
         self._arm = ArmDrawing(api)
         self._fixture = FixtureDrawing(api, self._labels)
+        self._instrument = Instrument(api)
         self._tool = Tool(api, self._labels)
         self._crossing = CrossingMark(api, self._labels)
         self._proxy = Proxy(api, self._labels, session.handle)
@@ -144,6 +146,7 @@ class Page:
             self._rulers,
             self._arm,
             self._fixture,
+            self._instrument,
             self._tool,
             self._proxy,
             self._crossing,
@@ -303,6 +306,7 @@ class Page:
             "Anatomy": (True, self._anatomy.show),
             "See-through": (False, self._anatomy.set_translucent),
             "Arm": (True, self._arm.show),
+            "Capsules": (False, partial(setattr, self._instrument, "show")),
             "Motion sphere": (True, partial(setattr, fixture, "show_sphere")),
             "Planes": (True, partial(setattr, fixture, "show_planes")),
             "Normals": (True, partial(setattr, fixture, "show_normals")),

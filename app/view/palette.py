@@ -35,6 +35,10 @@ FORCE_NAME = "simulated force"
 BLOCKING = BLACK  # the plane that holds the tool back most
 CORRIDOR: Rgb = (115, 65, 25)  # the planned path and the walls along it
 PROBE = YELLOW
+PART: Rgb = (150, 150, 150)  # a part of the instrument that nothing holds
+PART_NEAR: Rgb = (150, 200, 90)  # one that has planes, which do not hold it
+PART_HELD: Rgb = (240, 90, 40)
+TROCAR: Rgb = (120, 200, 200)
 ALARM: Rgb = (200, 0, 30)  # the tip crossed the mesh
 
 
@@ -87,6 +91,13 @@ RULE_HELP: dict[str, str] = {
     "all": "The plane of every face in the sphere, without conditions: blocks free space too.",
     "off": "No fixture: the tool goes wherever the proxy is.",
 }
+
+GUARD_HELP: dict[str, str] = {
+    "tool": "Every part of the instrument is kept out.",
+    "tip": "The tip alone is kept out: the shaft may pass through bone.",
+}
+TIP_ALONE = "This rule guards the tip alone, whatever is chosen here."
+NO_GUARD = "Without a fixture nothing is guarded."
 
 STATUS_HELP: dict[vf.Status, str] = {
     vf.Status.SOLVED: "step as solved",

@@ -115,6 +115,7 @@ def test_the_ends_of_every_range_are_in_it() -> None:
 def test_the_choices_are_those_of_the_libraries() -> None:
     assert robots.names() == choices.ROBOTS
     assert vf.RULES == choices.RULES
+    assert vf.GUARDS == choices.GUARDS
     assert meshes.UPS == choices.AXES
     assert damage.kinds() == choices.DAMAGES
     assert meshes.FRAMES == choices.FRAMES

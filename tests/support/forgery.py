@@ -1,4 +1,4 @@
-"""Copies of a recording with something changed in them, in either version of the format.
+"""Copies of a recording with something changed in them, in any version of the format.
 
 Written from the description of the format alone, to be read by the program.
 """
@@ -19,7 +19,8 @@ import numpy as np
 from app.recording.format import ORDERS, ROWS
 from app.recording.read import read
 
-MAGIC = b"vf-sandbox recording 2\n"
+MAGIC = b"vf-sandbox recording 3\n"
+LATER = ("guard", "trocar")  # options that versions before 3 do not have
 Change = Callable[[dict[str, Any], dict[str, bytes]], None]
 
 
@@ -42,9 +43,9 @@ def blocks(path: Path) -> list[tuple[bytes, int, bytes]]:
     return found
 
 
-def chain(parts: list[tuple[bytes, int, bytes]]) -> bytes:
+def chain(parts: list[tuple[bytes, int, bytes]], magic: bytes = MAGIC) -> bytes:
     """A file of these blocks, their checksums right."""
-    crc, data = zlib.crc32(MAGIC), MAGIC
+    crc, data = zlib.crc32(magic), magic
     for kind, rows, content in parts:
         crc = zlib.crc32(struct.pack("<4sIII", kind, len(content), rows, 0) + content, crc)
         data += struct.pack("<4sIII", kind, len(content), rows, crc) + content
@@ -63,7 +64,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def forged(
-    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 2
+    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 3
 ) -> Path:
     """A copy of a recording with its header and columns changed, in this version."""
     recording = read(sound)
@@ -77,6 +78,10 @@ def forged(
             about, _ = unpack(content)
             header["places"] += about["places"]
             header["plants"] += about["plants"]
+    if version < 3:
+        for entry in header["places"] + header["plants"]:
+            for name in LATER:
+                del entry["options"][name]
     members = {f"orders/{n}.npy": npy(recording.orders[n]) for n in ORDERS.names or ()}
     members |= {f"rows/00000/{n}.npy": npy(recording.rows[n]) for n in ROWS.names or ()}
     change(header, members)
@@ -97,7 +102,8 @@ def forged(
                 (b"HEAD", 0, json.dumps(header).encode()),
                 (b"PART", n, pack(about, tables)),
                 (b"LAST", n, end),
-            ]
+            ],
+            MAGIC.replace(b"3", b"%d" % version),
         )
     )
     return path

@@ -167,6 +167,8 @@ def _record_of(step: Step) -> tuple[bytes, int, float]:
         rows[:, at.CAPSULE] = planes.capsules
     if planes.fixtures is not None:
         rows[:, at.FIXTURE] = planes.fixtures
+    if planes.of_axis is not None:
+        rows[:, at.POINT] = planes.of_axis
     rows[:, at.PUSH] = step.multipliers
     return whole.tobytes(), n, 0.0
 

@@ -18,7 +18,7 @@ import vf
 from app.recording.playback import Moment
 from app.scene.library import Library
 from app.session import Session
-from app.settings import DECLARED, number
+from app.settings import DECLARED, Options, number
 from app.view import palette, style
 from app.view.clients.client_input import ClientInput, Notify
 from app.view.clients.escape import EscapeKey
@@ -99,6 +99,9 @@ class Panel(Part):
         show(self._rule, options.rule)
         self._rule_help.content = _note(palette.RULE_HELP[options.rule], lines=2)
         show(self._radius_preset, _preset(options.radius))
+        show(self._guard, options.guard)
+        self._guard.disabled = options.rule != "certified" or not live
+        self._guard_help.content = _note(guard_help(options), lines=1)
         self._radius.disabled = options.radius is None or not live
         for field in self._fields:
             field.sync()
@@ -160,6 +163,13 @@ class Panel(Part):
                 hint=DECLARED["rule"].about,
             )
             self._rule_help = self._gui.add_html("")
+            self._guard = self._gui.add_dropdown(
+                "Guard",
+                vf.GUARDS,
+                initial_value=session.options.guard,
+                hint=DECLARED["guard"].about,
+            )
+            self._guard_help = self._gui.add_html("")
             self._radius_preset = self._gui.add_dropdown(
                 "Motion sphere",
                 (*RADII, CUSTOM),
@@ -170,7 +180,9 @@ class Panel(Part):
             self._radius = self._number("Radius", "radius", 0.05)
             self._number("Tip radius", "tip_radius", 0.1)
             self._number("Standoff", "standoff", 5.0)
+            self._number("Trocar zone", "trocar", 1.0)
         self._bind(self._rule, lambda value: session.set(rule=str(value)))
+        self._bind(self._guard, lambda value: session.set(guard=str(value)))
         self._bind(self._radius_preset, self._take_preset)
 
     def _scene_controls(self) -> None:
@@ -312,6 +324,13 @@ class Panel(Part):
             f"<div style='{_NOTE};height:3.9em;color:{palette.css(palette.BLUE)}'>"
             f"{html.escape(text)} …</div>"
         )
+
+
+def guard_help(options: Options) -> str:
+    """What is guarded, in one sentence."""
+    if options.rule == "off":
+        return palette.NO_GUARD
+    return palette.GUARD_HELP[options.guard] if options.rule == "certified" else palette.TIP_ALONE
 
 
 def _preset(radius: float | None) -> str:

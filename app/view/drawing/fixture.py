@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from app.view.drawing import nodes
 from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view, turn_z_to
+from robots import Capsule
 
 FloatArray = NDArray[np.float64]
 Triangles = tuple[FloatArray, NDArray[np.uint32]]  # vertices (n, 3), faces (m, 3)
@@ -26,11 +28,14 @@ MAX_DISCS = 12  # only the nearest planes have a disc and an arrow, the others a
 IDLE_OPACITY = (0.3, 0.1)
 ACTIVE_OPACITY = (0.65, 0.3)
 BLOCKING_LENGTH = 0.5  # of the arrow of the plane that pushes most, in radii of its disc
+CONTACT = (0.0015, 0.008)  # smallest and largest radius of the disc at a part of the tool [m]
+MAX_PARTS = 8  # names at the planes of so many parts
 MIN_PUSH = 1e-7  # a plane is active if it pushed the tip back by more in this tick [m]
 
 
 class FixtureDrawing(Part):
-    """Draws planes as their discs inside the motion sphere, coloured by rule.
+    """Draws planes as discs, coloured by rule: those of the tip inside the motion sphere, those of
+    another part of the instrument where they touch its capsule, with the part's name.
 
     The saturation of an active plane shows its share of the push; the plane that pushes most has a
     thick ring. All planes are instances of four batches of constant length, as the browser rebuilds
@@ -67,6 +72,9 @@ class FixtureDrawing(Part):
             )
         ]
         self._blocks = labels.add(f"{root}/blocks", anchor="bottom-left")
+        self._names = [
+            labels.add(f"{root}/part{k}", anchor="center-right") for k in range(MAX_PARTS)
+        ]
         self._triangles = {
             rule: nodes.mesh(api, f"{root}/triangles_{rule.name.lower()}", look.color)
             for rule, look in palette.LOOKS.items()
@@ -86,7 +94,10 @@ class FixtureDrawing(Part):
         step = shown.telemetry.step
         if step is not None:
             p_tip = np.asarray(step.tip.translation)
-            self.draw(p_tip, step.radius, step.planes, step.multipliers, shown.scene.surface)
+            scene = shown.scene
+            self.draw(
+                p_tip, step.radius, step.planes, step.multipliers, scene.surface, scene.arm.capsules
+            )
 
     def draw(
         self,
@@ -95,14 +106,18 @@ class FixtureDrawing(Part):
         planes: vf.Planes,
         multipliers: FloatArray,
         surface: vf.Surface,
+        capsules: Sequence[Capsule] = (),
     ) -> None:
-        """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m]."""
+        """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m].
+
+        `capsules` are those of the arm; without them all planes are the tip's.
+        """
         self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
             self._sphere.position = to_view(p_tip)
             self._sphere.scale = float(to_view(radius))
         chosen = chosen_planes(planes, p_tip, radius)
-        self._draw_planes(p_tip, radius, planes, multipliers, chosen)
+        self._draw_planes(p_tip, radius, planes, multipliers, chosen, capsules)
         self._draw_triangles(radius, planes, surface, chosen)
 
     def hide(self) -> None:
@@ -111,7 +126,8 @@ class FixtureDrawing(Part):
             batch.visible = False
         for node in (self._edges, self._sphere, *self._blocking, *self._triangles.values()):
             node.visible = False
-        self._blocks.visible = False
+        for label in (self._blocks, *self._names):
+            label.visible = False
 
     def _draw_planes(
         self,
@@ -120,7 +136,10 @@ class FixtureDrawing(Part):
         planes: vf.Planes,
         multipliers: FloatArray,
         chosen: NDArray[np.intp],
+        capsules: Sequence[Capsule],
     ) -> None:
+        for label in self._names:
+            label.visible = False
         any_plane = len(chosen) > 0 and not self.suppressed
         for batch in (self._idle_discs, self._active_discs, self._rims):
             batch.visible = self.show_planes and any_plane
@@ -140,10 +159,11 @@ class FixtureDrawing(Part):
                 batch.opacity = opacities[self.inspected]
         normals = planes.normals[chosen]
         centres, radii = discs(normals, planes.offsets[chosen], p_tip, radius)
+        parts = _touch(planes, chosen, capsules, centres, radii)
         pushes = multipliers[chosen]
         active = pushes > MIN_PUSH
         rank = np.argsort(np.argsort(np.abs(planes.slack(p_tip)[chosen]), kind="stable"))
-        near = (rank < MAX_DISCS) | active
+        near = (rank < MAX_DISCS) | active | (parts >= 0)
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
         # Off the centre of the disc, where the tool would hide the arrow.
         feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
@@ -175,7 +195,24 @@ class FixtureDrawing(Part):
                 node.position = to_view(place)
                 node.scale = float(scales[most])
             self._blocks.position = to_view(foot + BLOCKING_LENGTH * radii[most] * normals[most])
-            self._blocks.text = f"blocks: takes {1e3 * strongest:.2g} mm off each step"
+            who = capsules[parts[most]].name + " " if parts[most] >= 0 else ""
+            self._blocks.text = f"{who}blocks: takes {1e3 * strongest:.2g} mm off each step"
+        if self.show_planes:
+            self._name_parts(capsules, parts, pushes, centres)
+
+    def _name_parts(
+        self,
+        capsules: Sequence[Capsule],
+        parts: NDArray[np.int64],
+        pushes: FloatArray,
+        centres: FloatArray,
+    ) -> None:
+        """The name of each part at the one of its planes that pushes most."""
+        for label, k in zip(self._names, np.unique(parts[parts >= 0]).tolist(), strict=False):
+            mine = np.flatnonzero(parts == k)
+            label.text = capsules[k].name
+            label.position = to_view(centres[mine[pushes[mine].argmax()]])
+            label.visible = True
 
     def _draw_triangles(
         self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]
@@ -206,8 +243,13 @@ class FixtureDrawing(Part):
 
 
 def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArray[np.intp]:
-    """Indices of the planes to draw: the nearest `MAX_PLANES` that cut the sphere."""
+    """Indices of the planes to draw: the nearest `MAX_PLANES` that cut the sphere.
+
+    And all those of other parts of the instrument than the tip, as if they were the nearest.
+    """
     slack = planes.slack(p_tip)
+    if planes.of_axis is not None:
+        slack = np.where(planes.of_axis, 0.0, slack)
     order = np.argsort(np.abs(slack), kind="stable")
     return np.sort(order[np.abs(slack[order]) < radius][:MAX_PLANES])
 
@@ -219,6 +261,30 @@ def discs(
     height = offsets - normals @ centre
     centres = centre + height[:, None] * normals
     return centres, np.sqrt(np.maximum(radius**2 - height**2, 0.0))
+
+
+def _touch(
+    planes: vf.Planes,
+    chosen: NDArray[np.intp],
+    capsules: Sequence[Capsule],
+    centres: FloatArray,
+    radii: FloatArray,
+) -> NDArray[np.int64]:
+    """The part that each plane holds (k,), −1: the tip; moves the discs of parts to their capsules.
+
+    A plane holds the axis, at a distance of the capsule's radius from what can be touched.
+    """
+    parts = np.full(len(chosen), -1)
+    if planes.of_axis is None or planes.capsules is None or not len(capsules):
+        return parts
+    for row, k in enumerate(chosen):
+        if planes.of_axis[k]:
+            part = int(planes.capsules[k])
+            thickness, normal, foot = capsules[part].radius, planes.normals[k], planes.points[k]
+            parts[row] = part
+            centres[row] = foot + (planes.offsets[k] - thickness - normal @ foot) * normal
+            radii[row] = min(max(thickness, CONTACT[0]), CONTACT[1])
+    return parts
 
 
 def _towards_viewer(normals: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Nodes of the scene, mostly created hidden; their geometry or place follows."""
+"""Lights of the scene, and nodes, mostly created hidden; their geometry or place follows."""
 
 from __future__ import annotations
 
@@ -57,3 +57,15 @@ def ball(api: viser.SceneApi, name: str, color: Rgb) -> viser.IcosphereHandle:
     return api.add_icosphere(
         name, radius=1.0, color=color, cast_shadow=False, receive_shadow=False, visible=False
     )
+
+
+def add_lights(api: viser.SceneApi) -> None:
+    """Hemisphere light and one directional light, without shadows."""
+    # viser's own lights wash out light colours such as bone.
+    api.configure_default_lights(False, cast_shadow=False)
+    # Without a graphics card an environment map takes some hundred times the time of all the rest.
+    api.configure_environment_map(None)
+    api.add_light_hemisphere(
+        "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=1.7
+    )
+    api.add_light_directional("/light/sun", intensity=1.9, position=(60.0, 10.0, 60.0))

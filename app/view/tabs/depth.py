@@ -1,7 +1,7 @@
 """Position of the tool relative to the anatomy, independent of planes and rules.
 
-Distance and side are the surface's own queries, on the tree that the planes use too; crossings and
-lines of sight are computed by `app.judges`.
+Distance and side of the tip are the surface's own queries, on the tree that the planes use too;
+crossings, lines of sight and the distance of the other parts are computed by `app.judges`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 import vf
 from app.control.watch import Crossing
+from app.judges import boxes
 from app.judges.meeting import sees
+from app.judges.nearest import gaps
 from app.judges.oracles import OVERLAP_TOLERANCE
 from app.scene.scene import Scene
-from robots import Arm
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +35,10 @@ class Whereabouts:
         beyond: whether the tip is on the far side of a shell or an open mesh: its centre crossed
             the mesh, is not inside, and sees neither the point before the crossing nor the start.
         from_crossing: from the tip's centre to the crossing [m]; 0 without one.
-        shaft_crosses: whether the instrument's axis, from the tip along the arm, meets the mesh.
+        part: name of the part of the instrument that is nearest to the mesh.
+        part_gap: its distance from there [m]; negative: it overlaps it, by its radius at most.
+        in_mesh: names of the parts that are in the mesh: those beyond the first, which is at the
+            tip, that overlap it, and any whose axis meets it.
     """
 
     distance: float
@@ -44,7 +48,9 @@ class Whereabouts:
     crossing: Crossing | None
     beyond: bool
     from_crossing: float
-    shaft_crosses: bool
+    part: str
+    part_gap: float
+    in_mesh: tuple[str, ...]
 
     @property
     def gap(self) -> float:
@@ -63,9 +69,18 @@ class Whereabouts:
 
 
 def whereabouts(
-    scene: Scene, q: ArrayLike, p_tip: ArrayLike, tip_radius: float, crossing: Crossing | None
+    scene: Scene,
+    q: ArrayLike,
+    p_tip: ArrayLike,
+    tip_radius: float,
+    crossing: Crossing | None,
+    trocar: float = 0.0,
 ) -> Whereabouts:
-    """Position of the tip p_tip (3,) [m], base frame, of the arm at joints q (n,)."""
+    """Position of the tip p_tip (3,) [m], base frame, of the arm at joints q (n,).
+
+    Args:
+        trocar: radius of the trocar zone [m], in which the shaft may be in the mesh.
+    """
     surface, p = scene.surface, np.asarray(p_tip, dtype=np.float64)
     inside = surface.inside(p)
     beyond, length = False, 0.0
@@ -73,6 +88,7 @@ def whereabouts(
         length = float(np.linalg.norm(p - crossing.point))
         near = (crossing.before, np.asarray(scene.T_base_start.translation))
         beyond = crossing.centre and not inside and not any(sees(surface, p, y) for y in near)
+    part, part_gap, in_mesh = _parts(scene, q, trocar)
     return Whereabouts(
         distance=surface.nearest(p)[0],
         tip_radius=tip_radius,
@@ -81,27 +97,23 @@ def whereabouts(
         crossing=crossing,
         beyond=beyond,
         from_crossing=length,
-        shaft_crosses=not free_line(surface, shaft(scene.arm, q, p)),
+        part=part,
+        part_gap=part_gap,
+        in_mesh=in_mesh,
     )
 
 
-def shaft(arm: Arm, q: ArrayLike, p_tip: FloatArray) -> FloatArray:
-    """Polyline (k, 3) [m] of an arm at joints q (n,), from its tip through its joints to its base.
-
-    Joints without a drawn body, and repeated points, are skipped.
-    """
-    places = {body.frame: row[4:] for body, row in zip(arm.bodies, arm.placements(q), strict=True)}
-    line = [np.asarray(p_tip, dtype=np.float64)]
-    for joint in reversed(arm.joints):
-        place = places.get(joint)
-        if place is not None and np.linalg.norm(place - line[-1]) > 1e-6:
-            line.append(place)
-    return np.array(line)
-
-
-def free_line(surface: vf.Surface, line: FloatArray) -> bool:
-    """Whether no segment of a polyline (k, 3) [m] meets the mesh."""
-    return all(sees(surface, line[k], line[k + 1]) for k in range(len(line) - 1))
+def _parts(scene: Scene, q: ArrayLike, trocar: float) -> tuple[str, float, tuple[str, ...]]:
+    """Of a `Whereabouts`: part, part_gap, in_mesh."""
+    capsules = scene.arm.capsules
+    found = gaps(boxes.of(scene.surface), scene.arm, q, trocar)
+    in_mesh = tuple(
+        capsule.name
+        for k, (capsule, gap) in enumerate(zip(capsules, found, strict=True))
+        if gap == -capsule.radius or (k > 0 and gap < -OVERLAP_TOLERANCE)
+    )
+    k = int(found.argmin())
+    return capsules[k].name, float(found[k]), in_mesh
 
 
 def signed_distance(surface: vf.Surface, p_base: ArrayLike) -> float:

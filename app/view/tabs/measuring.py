@@ -33,7 +33,11 @@ class Measuring:
             p_tip = np.array(step.tip.translation)
             reach = step.radius + shown.options.tip_radius
             in_sphere = len(scene.surface.within(p_tip, reach).triangles)
-            where = whereabouts(scene, telemetry.q, p_tip, shown.options.tip_radius, shown.crossing)
+            options = shown.options
+            where = whereabouts(
+                scene, telemetry.q, p_tip, options.tip_radius, shown.crossing,
+                options.trocar if options.guards_tool else 0.0,
+            )  # fmt: skip
             before = self._before
             if before is not None and self._tip_before is not None:
                 elapsed = telemetry.time - before.time
@@ -46,4 +50,5 @@ class Measuring:
         self._count += 1
         joints = tuple(scene.arm.joints)
         silent = now - self._newest_since
-        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched, ended)
+        parts = tuple(capsule.name for capsule in scene.arm.capsules)
+        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched, ended, parts)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 import vf
 from app.control.messages import Telemetry
@@ -48,6 +50,7 @@ class Extras:
         where: position relative to the anatomy; None: no tick yet.
         unwatched: ticks that were not tested for a crossing.
         ended: why the control loop ended by itself; empty: it did not.
+        parts: names of the arm's capsules.
     """
 
     in_sphere: int
@@ -58,6 +61,7 @@ class Extras:
     where: Whereabouts | None = None
     unwatched: int = 0
     ended: str = ""
+    parts: tuple[str, ...] = ()
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -74,10 +78,12 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             _force_row(float(np.linalg.norm(step.force))),
             _section("Fixture"),
             _row("rule", options.rule),
+            _row("guarded", "whole tool" if options.guards_tool else "tip"),
             _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
             _row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
             _row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
+            *_by_part(step, options, extras),
             _row("QP", palette.SOLVER_HELP[step.solver]),
             _row("outcome", step.status.name),
         ]
@@ -116,8 +122,11 @@ def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: boo
         return _line(text, color)
     if where.crossing is not None:
         return _line(text, palette.css(palette.ALARM), _crossing_text(where, where.crossing))
-    if where.shaft_crosses:
-        return _line(text, color, remark="The shaft is in the mesh: only the tip is guarded.")
+    if where.in_mesh:
+        verb = "is" if len(where.in_mesh) == 1 else "are"
+        remark = f"The {_listed(where.in_mesh)} {verb} in the mesh"
+        remark += "." if options.guards_tool else ": only the tip is guarded."
+        return _line(text, color, remark=remark)
     return _line(text, color)
 
 
@@ -184,6 +193,9 @@ def _distance_rows(extras: Extras) -> list[str]:
     else:
         outside = "0.000" if where.closed else "–"  # an open mesh has no inside
         rows.append(_row("depth below surface", distance if where.inside else outside, "mm"))
+    if len(extras.parts) > 1:
+        nearest = where.part_gap if np.isfinite(where.part_gap) else 0.0
+        rows.append(_row(f"nearest part: {where.part}", f"{nearest * 1e3:.3f}", "mm"))
     seen, name = "none", "crossing"
     if where.crossing is not None:
         name = "crossing" if where.crossing.centre else "touch"
@@ -202,6 +214,10 @@ def legend() -> str:
     ]
     signs += [
         (palette.BLOCKING, "<b>ring and arrow</b>: the plane that holds the tool back most"),
+        (palette.PART, "<b>capsules</b> (layer): the parts of the instrument that are guarded"),
+        (palette.PART_NEAR, "<b>capsule with planes</b>, which do not hold it"),
+        (palette.PART_HELD, "<b>capsule held back</b>; its discs have the part’s name"),
+        (palette.TROCAR, "<b>trocar zone</b>: here the shaft may pass the mesh"),
         (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
         (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
         (palette.FORCE, f"<b>{palette.FORCE_NAME}</b> on the hand: arrow, plot and number"),
@@ -272,9 +288,8 @@ def _state(
     if step.status == vf.Status.RECOVERING:
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
-        n = int((step.multipliers > MIN_PUSH).sum())
         force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
-        return f"The fixture holds the tool back ({n} plane{'s' if n > 1 else ''}): {force}.", busy
+        return f"The fixture holds the {_held(step, options, extras)}: {force}.", busy
     if step.status == vf.Status.SHORTENED:
         return "Only a part of the step was safe.", busy
     if inside:
@@ -286,6 +301,40 @@ def _state(
     if where is not None and not where.free:
         return "No plane holds the tool back.", calm
     return "Free.", calm
+
+
+def _held(step: vf.Step, options: Options, extras: Extras) -> str:
+    """What is held back and by how many planes, part by part: "tool back (2 planes)"."""
+    counts = _counts(step, extras, step.multipliers > MIN_PUSH)
+    total = sum(counts.values())
+    planes = f"{total} plane{'s' if total > 1 else ''}"
+    if not options.guards_tool or len(extras.parts) < 2:
+        return f"tool back ({planes})"
+    held = [name for name, n in counts.items() if n]
+    if len(held) > 1:
+        planes += ": " + ", ".join(f"{name} {counts[name]}" for name in held)
+    return f"{_listed(held)} back ({planes})"
+
+
+def _counts(step: vf.Step, extras: Extras, counted: NDArray[np.bool_]) -> dict[str, int]:
+    """How many of the planes that are counted (m,) each part of the instrument has."""
+    capsules = step.planes.capsules
+    if capsules is None:
+        capsules = np.zeros(len(step.planes), dtype=np.int64)
+    names = extras.parts or ("tool",)
+    return {name: int((counted & (capsules == k)).sum()) for k, name in enumerate(names)}
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in a sentence: "a", "a and b", "a, b and c"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def _by_part(step: vf.Step, options: Options, extras: Extras) -> list[str]:
+    if not options.guards_tool or len(extras.parts) < 2:
+        return []
+    counts = _counts(step, extras, np.ones(len(step.planes), dtype=bool))
+    return [_row(f"of the {name}", f"{n:,}", " ") for name, n in counts.items()]
 
 
 def _by_condition(step: vf.Step) -> list[str]:

@@ -180,7 +180,10 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert call("bench", ["runtime", *words, "--rules", "magic"]) == 2
     assert "unknown rule 'magic'" in capsys.readouterr().err
     assert call("bench", ["loop", "--phases", "dancing"]) == 2
-    assert "idle, dragging, loading, examining, joining" in capsys.readouterr().err
+    assert (
+        "idle, dragging, loading, joining, examining, recording, replaying"
+        in capsys.readouterr().err
+    )
 
 
 def test_from_a_file_to_a_guarded_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

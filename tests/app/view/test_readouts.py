@@ -46,7 +46,8 @@ def extras(session: Session, **changes: Any) -> readouts.Extras:
         p_tip = telemetry.step.tip.translation
         radius = session.options.tip_radius
         where = whereabouts(session.scene, telemetry.q, p_tip, radius, session.crossing)
-    made = readouts.Extras(0, 0.0, tuple(session.scene.arm.joints), where=where)
+    parts = tuple(capsule.name for capsule in session.scene.arm.capsules)
+    made = readouts.Extras(0, 0.0, tuple(session.scene.arm.joints), where=where, parts=parts)
     return replace(made, **changes)
 
 

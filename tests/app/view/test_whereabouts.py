@@ -15,10 +15,12 @@ import trimesh
 import meshes
 import robots
 import vf
+from app.judges import boxes
+from app.judges.nearest import gaps
 from app.session import Session
 from app.settings import Options
 from app.view.tabs import readouts
-from app.view.tabs.depth import Whereabouts, free_line, shaft, whereabouts
+from app.view.tabs.depth import Whereabouts, whereabouts
 from tests.support.headless import wait_until
 
 
@@ -57,7 +59,8 @@ class Shown:
             session.crossing,
         )
         joints = tuple(session.scene.arm.joints)
-        extras = readouts.Extras(0, 0.0, joints, where=self.where)
+        parts = tuple(capsule.name for capsule in session.scene.arm.capsules)
+        extras = readouts.Extras(0, 0.0, joints, where=self.where, parts=parts)
         clutched, options = session.master.clutched, session.options
         self.banner = _text(readouts.banner(telemetry, options, extras, clutched))
         self.html = readouts.readouts(telemetry, options, extras)
@@ -205,10 +208,10 @@ def test_a_path_round_the_edge_is_no_crossing(sheet: Path) -> None:
 
 def test_a_shaft_in_the_mesh_is_reported() -> None:
     """The tip moves round the edge of a plate to below it, where the shaft penetrates it."""
-    with Session(Options(mesh="thin-plate")) as session:
+    with Session(Options(mesh="thin-plate", guard="tip")) as session:
         settle(session)
-        remark = "The shaft is in the mesh: only the tip is guarded."
-        assert not Shown(session).where.shaft_crosses
+        remark = "The wrist and shaft are in the mesh: only the tip is guarded."
+        assert not Shown(session).where.in_mesh
         assert remark not in Shown(session).banner
         start = session.scene.T_base_start
         for shift in ((0.06, 0.0, 0.0), (0.06, 0.0, -0.03), (0.03, 0.0, -0.03)):
@@ -218,7 +221,8 @@ def test_a_shaft_in_the_mesh_is_reported() -> None:
         settle(session)
         shown = Shown(session)
         assert session.crossing is None
-        assert shown.where.shaft_crosses
+        assert shown.where.in_mesh == ("wrist", "shaft")
+        assert shown.number("nearest part: (?:wrist|shaft)") == pytest.approx(-4.2, abs=0.03)
         assert remark in shown.banner
         assert "Free." in shown.banner
 
@@ -228,18 +232,37 @@ def test_a_shaft_in_the_mesh_is_reported() -> None:
     # The drawings of the others take some seconds to read.
     [pytest.param(n, marks=[pytest.mark.slow] * (n in ("panda", "ur5"))) for n in robots.names()],
 )
-def test_the_shaft_is_a_polyline_from_the_tip_along_the_arm(name: str) -> None:
+def test_a_wall_across_the_instrument_is_met_by_it(name: str) -> None:
     arm = robots.load(name)
     p_tip = np.array(arm.tip(arm.neutral).translation)
-    line = shaft(arm, arm.neutral, p_tip)
-    np.testing.assert_array_equal(line[0], p_tip)
-    if name == "point":
-        assert len(line) == 1
-        return
     # A wall across the instrument, 5 cm up from the tip, meets it; one as far below does not.
     up = -np.array(arm.tip(arm.neutral).rotation[:, 2])
     across = np.linalg.svd(up[None])[2][1:]
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]) * 0.01 @ across
-    for side, free in ((1.0, False), (-1.0, True)):
-        wall = vf.Surface.from_arrays(p_tip + side * 0.05 * up + corners, [[0, 1, 2]])
-        assert free_line(wall, line) == free
+    for side in (1.0, -1.0):
+        wall = p_tip + side * 0.05 * up + corners
+        found = gaps(boxes.build(wall, np.array([[0, 1, 2]])), arm, arm.neutral)
+        met = name != "point" and side > 0.0
+        assert (found == -np.array([c.radius for c in arm.capsules])).any() == met
+        assert (found.min() < 0.0) == met
+
+
+def test_of_the_parts_only_the_nearest_counts_and_the_trocar_zone_is_left_out() -> None:
+    arm = robots.load("psm")
+    sheet = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 2.0, 0.0]])
+
+    def at(height: float, **options: float) -> list[float]:
+        wall = boxes.build(sheet + np.array([0.0, 0.0, height]), np.array([[0, 1, 2]]))
+        return list(gaps(wall, arm, arm.neutral, **options))
+
+    tip, radii = arm.tip(arm.neutral).translation[2], [c.radius for c in arm.capsules]
+    assert at(tip - 0.01) == pytest.approx([0.01, np.inf, np.inf, np.inf])
+    away = arm.axes(arm.neutral)[3, 1, 2] + 0.01
+    assert at(away)[3] == pytest.approx(0.01 - radii[3])
+    assert at(away)[:3] == pytest.approx(
+        away - arm.axes(arm.neutral)[:3, :, 2].max(axis=1) - radii[:3]
+    )
+    assert at(-0.003)[2] == -radii[2]
+    assert at(-0.003, trocar=0.02)[2] == pytest.approx(
+        np.sqrt(0.02**2 - radii[2] ** 2) - 0.003 - radii[2]
+    )
