@@ -33,9 +33,9 @@ def _at(time: float, x: float, y: float, z: float) -> Waypoint:
     return Waypoint(time, (x * 1e-3, y * 1e-3, z * 1e-3))  # [mm] -> [m]
 
 
-def _round(time: float, radius: float, degrees: float, z: float) -> Waypoint:
+def _round(time: float, radius: float, degrees: float, z: float, y: float = 0.0) -> Waypoint:
     angle = math.radians(degrees)
-    return _at(time, radius * math.cos(angle), radius * math.sin(angle), z)
+    return _at(time, radius * math.cos(angle), y + radius * math.sin(angle), z)
 
 
 _PUSH = Scenario(
@@ -111,6 +111,52 @@ _MILLION = Scenario(
     Options(mesh="skull-fine"),
     (_at(1.5, 25, -20, 68), _at(2.5, 22, -20, 54), _at(5.0, 22, 15, 54)),
 )
+_FONTANELLE = Scenario(
+    "through-the-fontanelle",
+    "The shaft is in the fontanelle and the tip at work inside the skull; as the hand circles, the "
+    "shaft leans on the rim from all sides and the tip pivots about it.",
+    # The middle of the opening is under the remote centre.
+    Options(mesh="skull", at=(0.0, -0.024, -0.1988)),
+    (
+        _at(1.5, 0, 24, 50),
+        _at(3.0, 0, 24, 15),
+        *(_round(3.8 + 0.7 * k, 16, 45 * k, 15, y=24) for k in range(9)),
+    ),
+    camera="anatomy",
+)
+_KEYHOLE = Scenario(
+    "keyhole",
+    "Through a canal 0.65 mm wider than the shaft: below it the hand wants 15 mm to each side, and "
+    "gets the half millimetre that the shaft has.",
+    Options(mesh="canal-block"),
+    (
+        _at(1.0, 0, 0, 15),
+        _at(3.0, 0, 0, -35),
+        _at(4.0, 15, 0, -35),
+        _at(5.0, 0, 15, -35),
+        _at(6.0, -15, 0, -35),
+        _at(7.0, 0, 0, -35),
+    ),
+    camera="anatomy",
+)
+_CORNER = Scenario(
+    "around-the-corner",
+    "Round the edge of a plate to below it: the tip is free on its way back under the plate, and "
+    "stops where the shaft meets the edge.",
+    Options(mesh="thin-plate"),
+    (_at(1.5, 76, 0, 8), _at(2.5, 76, 0, -30), _at(4.0, 40, 0, -30), _at(5.0, 40, 0, -15)),
+    camera="anatomy",
+)
+_CORNER_TIP = replace(
+    _CORNER,
+    name="around-the-corner-tip-only",
+    about="The same plate and the same hand with the tip alone guarded: it goes where the hand "
+    "wants, and the shaft goes through the plate.",
+    options=replace(_CORNER.options, guard="tip"),
+)
 
-_ALL = (_PUSH, _ORBIT, _PLATE, _GEAR, _SADDLE, _UNCLEAN, _HELD, _MILLION)
+_ALL = (
+    _PUSH, _ORBIT, _PLATE, _GEAR, _SADDLE, _UNCLEAN, _HELD, _MILLION, _FONTANELLE, _KEYHOLE,
+    _CORNER, _CORNER_TIP,
+)  # fmt: skip
 PRESETS: Mapping[str, Scenario] = MappingProxyType({one.name: one for one in _ALL})

@@ -130,6 +130,9 @@ _ENTRIES = (
     _generated("torus", shapes.torus, "Saddle-shaped inside, convex outside; ⌀ 80 mm."),
     _generated("gear", shapes.gear, "Involute teeth: narrow valleys; ⌀ 80 × 15 mm."),
     _generated("l-block", shapes.l_block, "One straight valley of 90°; 40 mm."),
+    _generated(
+        "canal-block", shapes.canal_block, "A canal of ⌀ 9 mm, just wider than a PSM’s shaft."
+    ),
     _generated("stairs", shapes.stairs, "Five ridges and four valleys; 50 × 40 × 30 mm."),
     _generated("star-prism", shapes.star_prism, "Sharp ridges and valleys; ⌀ 80 mm."),
     _generated("thin-plate", shapes.thin_plate, "0.5 mm thick, 100 × 100 mm."),

@@ -108,6 +108,13 @@ def l_block() -> Arrays:
     return to_metres(standing.refine_to_length(2.0))
 
 
+def canal_block() -> Arrays:
+    """A block, 40 × 40 × 25 mm, with an upright canal of 24 sides, ⌀ 9 mm, through its middle."""
+    corner = 4.5 / math.cos(math.pi / 24)
+    canal = Manifold.cylinder(40.0, corner, corner, 24, True)
+    return to_metres(Manifold.cube((40.0, 40.0, 25.0), True).refine_to_length(2.0) - canal)
+
+
 def stairs() -> Arrays:
     """Five steps up towards +x, each 10 mm deep and 6 mm high, 40 mm wide."""
     outline: list[Point2] = [(25.0, -15.0), (25.0, 15.0)]

@@ -19,6 +19,7 @@ SHAPES = (
     "torus",
     "gear",
     "l-block",
+    "canal-block",
     "stairs",
     "star-prism",
     "thin-plate",
@@ -52,6 +53,7 @@ VOLUMES = {
     "torus": torus_of_polygons(0.030, 0.010, 96, 32),
     "thin-plate": 0.100**2 * 0.0005,
     "stairs": 0.010 * 0.006 * (1 + 2 + 3 + 4 + 5) * 0.040,
+    "canal-block": (0.040**2 - ngon(24) * (0.0045 / math.cos(math.pi / 24)) ** 2) * 0.025,
     "l-block": (0.040 * 0.015 + 0.025 * 0.015) * 0.030,
     "star-prism": 7 * 0.040 * 0.018 * math.sin(math.pi / 7) * 0.020,
 }
@@ -146,6 +148,7 @@ def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         *((name, 0) for name in ("star-prism", "thin-plate", "saddle-slab")),
         ("torus", 1),
         ("gear", 1),  # its bore
+        ("canal-block", 1),
         ("skull-closed", 0),
         ("skull", 2),  # fontanelle and suture; the opening below makes it a bowl, not a tunnel
         ("skull-coarse", 2),

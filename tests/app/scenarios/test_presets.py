@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ from app import __main__ as main
 from app import cli
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats, Telemetry
+from app.judges.sweep import Judge
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import course
 from app.scene import scene as scenes
@@ -27,17 +29,17 @@ from tests.support.brute import Oracle
 DOCUMENT = Path(__file__).parents[3] / "docs" / "scenarios.md"
 
 
-Played = Callable[[str], tuple[Scene, list[Telemetry]]]
+Played = Callable[..., tuple[Scene, list[Telemetry]]]
 
 
 @pytest.fixture(params=[250.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def played(request: pytest.FixtureRequest) -> Played:
-    """A preset from its start to half a second after its script, tick by tick."""
+    """A preset from its start to half a second after its script, tick by tick; options changed."""
 
-    def play(name: str) -> tuple[Scene, list[Telemetry]]:
+    def play(name: str, **changes: str) -> tuple[Scene, list[Telemetry]]:
         scenario = PRESETS[name]
-        options = scenario.applied(Options(rate=request.param))
-        scene = built(replace(options, rate=1000.0, rule="certified"))
+        options = replace(scenario.applied(Options(rate=request.param)), **changes)
+        scene = built(replace(options, rate=1000.0, rule="certified", guard="tool"))
         way = course(scenario, scene)
         assert way is not None
         plant = scenes.plant(replace(scene, autopilot=way), options)
@@ -51,7 +53,7 @@ def played(request: pytest.FixtureRequest) -> Played:
 
 @cache
 def built(options: Options) -> Scene:
-    """A scene depends neither on the rate nor on the rule."""
+    """A scene of a preset depends neither on the rate nor on the rule or the guard."""
     return scenes.build(options, 1)
 
 
@@ -71,7 +73,7 @@ def pushing_rules(telemetry: Telemetry) -> set[int]:
 
 
 def test_every_preset_has_a_sentence_of_its_own() -> None:
-    assert len({scenario.about for scenario in PRESETS.values()}) == len(PRESETS) == 8
+    assert len({scenario.about for scenario in PRESETS.values()}) == len(PRESETS) == 12
     for name, scenario in PRESETS.items():
         assert name == scenario.name
         assert scenario.about.endswith(".")
@@ -168,6 +170,83 @@ def test_the_million_triangles_are_all_in_force(played: Played) -> None:
     assert Oracle(scene.surface.vertices, scene.surface.faces).crossings(path) == 0
     sliding = [k for k, t in enumerate(seen) if pushing_rules(t)]
     assert np.linalg.norm(np.diff(path[sliding], axis=0), axis=1).sum() > 0.02
+
+
+def crossings(scene: Scene, seen: list[Telemetry]) -> dict[str, int]:
+    """Ticks on whose way, as the joints go, a part of the instrument is in the mesh, by part."""
+    arm = scene.arm.copy()
+    judge = Judge(arm, scene.surface.vertices, scene.surface.faces)
+    found: dict[str, int] = {}
+    for before, after in itertools.pairwise([scene.start, *(t.q for t in seen)]):
+        for touch in judge.touches(before, after):
+            name = arm.capsules[touch.capsule].name
+            found[name] = found.get(name, 0) + 1
+    return found
+
+
+def held(scene: Scene, telemetry: Telemetry) -> set[str]:
+    """The parts that planes hold back in a tick."""
+    step = telemetry.step
+    assert step is not None
+    assert step.planes.capsules is not None
+    capsules = step.planes.capsules[step.multipliers > 1e-7]
+    return {scene.arm.capsules[k].name for k in capsules}
+
+
+INSTRUMENT = ("through-the-fontanelle", "keyhole", "around-the-corner")
+
+
+@pytest.mark.parametrize("name", INSTRUMENT)
+def test_no_part_of_the_instrument_crosses_and_with_the_tip_guarded_alone_the_shaft_does(
+    played: Played, name: str
+) -> None:
+    scene, guarded = played(name)
+    assert crossings(scene, guarded) == {}
+    assert any(held(scene, telemetry) == {"shaft"} for telemetry in guarded)
+    # The tip itself is free: what holds it back is the shaft.
+    assert all("blade" not in held(scene, telemetry) for telemetry in guarded)
+    _, alone = played(name, guard="tip")
+    assert crossings(scene, alone)["shaft"] > 0.2 * len(alone)
+    assert Oracle(scene.surface.vertices, scene.surface.faces).crossings(tips(alone)) == 0
+    goal = alone[-1].target
+    assert goal is not None
+    assert np.linalg.norm(tips(alone)[-1] - goal.translation) < 1e-4
+
+
+def test_in_the_fontanelle_the_shaft_leans_on_the_rim_from_all_sides(played: Played) -> None:
+    scene, seen = played("through-the-fontanelle")
+    normals = []
+    for telemetry in seen:
+        step = telemetry.step
+        assert step is not None
+        if held(scene, telemetry) == {"shaft"}:
+            normals.append(step.planes.normals[step.multipliers.argmax()])
+    angles = np.degrees(np.arctan2(*np.array(normals)[:, 1::-1].T)) % 360.0
+    # The rim is a rhombus: four sides, and the shaft leans on each.
+    sides = np.unique(np.round((angles - 45.0) / 90.0) % 4)
+    assert len(sides) == 4
+    inside = in_mesh(scene, tips(seen))[-1]
+    assert inside[2] < 0.02  # 4 cm below the crown
+
+
+def test_in_the_keyhole_the_tip_moves_by_what_the_shaft_has(played: Played) -> None:
+    scene, seen = played("keyhole")
+    goals = in_mesh(scene, np.array([t.target.translation for t in seen]))  # type: ignore[union-attr]
+    path = in_mesh(scene, tips(seen))
+    below = path[:, 2] < -0.0345
+    assert np.abs(goals[below, :2]).max() > 0.0149
+    assert 0.3e-3 < np.abs(path[below, 0]).max() < 1e-3
+
+
+def test_around_the_corner_the_two_guards_side_by_side(played: Played) -> None:
+    (scene, tool), (_, tip) = played("around-the-corner"), played("around-the-corner-tip-only")
+    for a, b in zip(tool[::25], tip[::25], strict=True):
+        assert a.target == b.target
+    away = np.linalg.norm(tips(tool) - tips(tip), axis=1)
+    round_the_edge = next(k for k, t in enumerate(tool) if held(scene, t))
+    assert away[:round_the_edge].max() < 1e-9
+    assert away[-1] > 0.01
+    assert crossings(scene, tip).keys() == {"wrist", "shaft"}
 
 
 def test_a_scenario_by_its_name_and_options_that_win_over_it() -> None:
