@@ -18,8 +18,8 @@ from app.control.order_writer import OrderWriter
 from app.control.process.handle import Child
 from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
+from app.devices.driving import Driving
 from app.devices.page import PageMaster
-from app.driving import Driving
 from app.kinds import Number
 from app.options import Scope
 from app.recording.capture import Tape

@@ -112,8 +112,7 @@ class Explanation(Sequence[TriangleReport]):
         certified: the planes of the certified rule.
         total: triangles cut by the ball, of which the nearest were examined.
         triangles: (k,) the faces examined.
-        points, features, distances, heights: (k, 3), (k,), (k,), (k,), see `TriangleReport`.
-        verdicts, owners, covers, covered_by: (k,) likewise.
+        points: (k, 3); features, distances, heights, verdicts, owners, covers, covered_by: (k,).
     """
 
     surface: Surface
@@ -368,8 +367,7 @@ def _covers(
     covers[distances < planes.radius + tip_radius] = Cover.BEHIND_SEVERAL
     if len(planes):
         corners = surface.vertices[surface.faces[triangles]]  # (k, 3, 3)
-        top = (corners @ planes.normals.T).max(axis=1)  # (k, m)
-        room = planes.offsets - tip_radius - top
+        room = planes.offsets - tip_radius - (corners @ planes.normals.T).max(axis=1)  # (k, m)
         best = room.argmax(axis=1)
         behind = room[np.arange(k), best] > 0.0
         covers[behind] = Cover.BEHIND_ONE
@@ -383,10 +381,9 @@ def _covers(
 def _across(
     surface: Surface, x: FloatArray, triangle: int, point: FloatArray, feature: int
 ) -> tuple[Across, ...]:
-    edges = _edges_of(np.array([feature], dtype=np.int8))[0]
     same = SAME * surface.median_edge
     found = []
-    for e in dict.fromkeys(int(e) for e in edges if e >= 0):
+    for e in dict.fromkeys(int(e) for e in _edges_of(np.array([feature], np.int8))[0] if e >= 0):
         a = int(surface.neighbours[triangle, e])
         gap = float(np.linalg.norm(_closest(surface, a, x) - point)) if a >= 0 else np.nan
         found.append(Across(e, Edge(surface.edges[triangle, e]), a, gap, gap <= same))
