@@ -152,7 +152,7 @@ def run(options: Verify) -> int:
     # Other rules than certified are tested with the mesh alone, so that they are comparable.
     varied = options.rule == "certified" and not options.outside and options.guard is None
     kinds_of_scene = SCENES if varied else SCENES[:1]
-    leak_tools = LEAK_TOOLS if varied else LEAK_TOOLS[:2]
+    leak_tools = LEAK_TOOLS if varied or options.guard is not None else LEAK_TOOLS[:2]
     cases = [(name, kind) for name in sources for kind in damages]
     share = -(-options.steps // (len(cases) * len(radii)))
     query_share = -(-options.queries // (len(cases) * len(LEAK_EDGES)))
@@ -193,6 +193,16 @@ def run(options: Verify) -> int:
                     )  # fmt: skip
                 for k, edges, part, queries in _parts(LEAK_EDGES, query_share):
                     standoff, tip_radius = leak_tools[(number + k) % len(leak_tools)]
+                    if options.guard is not None:
+                        here.covers.append(
+                            instrument.query(
+                                mesh, edges=edges, queries=queries,
+                                seed=options.seed + 1000 * number + k + 10**6 * part,
+                                standoff=standoff, thickness=tip_radius,
+                                progress=lambda n: bar.advance(task, n),
+                            )
+                        )  # fmt: skip
+                        continue
                     here.covers.append(
                         campaign.query(
                             mesh, rule=options.rule, edges=edges, queries=queries,

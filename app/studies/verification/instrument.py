@@ -12,7 +12,7 @@ import robots
 import vf
 from app.judges import sweep
 from app.studies.verification import hands
-from app.studies.verification.campaign import EPISODE, Drive, Progress, random_joints
+from app.studies.verification.campaign import EPISODE, Cover, Drive, Progress, random_joints
 from meshes.builtin.shapes import Arrays
 
 FloatArray = NDArray[np.float64]
@@ -81,6 +81,58 @@ def drive(
                     )
                 break
         progress(length)
+    return result
+
+
+def query(
+    mesh: Arrays,
+    *,
+    edges: float,
+    queries: int,
+    seed: int,
+    standoff: float = 0.0,
+    thickness: float = 0.0,
+    progress: Progress = lambda _queries: None,
+) -> Cover:
+    """Search for leaks of the certified rule for random capsules beside a mesh.
+
+    Axes that meet the mesh, and capsules that overlap it, are skipped.
+
+    Args:
+        edges: radius of the motion sphere in median edge lengths.
+        standoff: [m].
+        thickness: radius of the capsules [m].
+    """
+    surface = vf.Surface.from_arrays(*mesh)
+    rng = np.random.default_rng(seed)
+    radius = edges * surface.median_edge
+    size = float(np.ptp(surface.vertices, axis=0).max())
+    result = Cover()
+    tried = 0
+    while result.queries < queries and tried < 50 * (queries + 10):
+        tried += 1
+        corners = surface.vertices[surface.faces[rng.integers(len(surface.faces))]]
+        out, along = rng.normal(size=(2, 3))
+        out *= (thickness + radius * rng.uniform(0.001, 1.0)) / np.linalg.norm(out)
+        if rng.random() < 0.7:  # across the way out, so that the inside of the axis is near
+            along -= (along @ out) * out / (out @ out)
+        along *= size * 10.0 ** rng.uniform(-3.0, 0.3) / np.linalg.norm(along)
+        spot = rng.dirichlet([1.0, 1.0, 1.0]) @ corners + out
+        share = rng.uniform(-0.2, 1.2)
+        ends = np.array([spot - share * along, spot + (1.0 - share) * along])
+        if not sweep.apart(surface, ends, thickness):
+            continue
+        planes = vf.certified_planes(surface, ends, radius, standoff, thickness)
+        result.queries += 1
+        result.planes += len(planes)
+        result.shrunk += planes.radius < radius
+        if sweep.leaks(surface, planes, ends, planes.radius, thickness):
+            result.leaking += 1
+            if not result.first:
+                result.first = f"query {result.queries}: ends {ends.tolist()}, radius {radius!r}"
+        if result.queries % 100 == 0:
+            progress(100)
+    progress(queries - 100 * (result.queries // 100))
     return result
 
 
@@ -164,10 +216,7 @@ def _actuate(
     judge: sweep.Judge, q: FloatArray, bound: float, rng: np.random.Generator
 ) -> FloatArray:
     """Actual joint positions: no end of an axis is off by more than `bound` [m]."""
-    error = rng.normal(size=len(q)) * judge.arm.velocity
-    for _ in range(60):
-        fastest = judge.fastest(q, error)
-        if fastest <= bound:
-            return judge.arm.clamp(q + rng.random() * error)
-        error *= min(0.9, 0.99 * bound / fastest)
-    return q
+    # So small that the bound grows in proportion.
+    error = 1e-9 * rng.normal(size=len(q)) * judge.arm.velocity
+    error *= 0.99 * rng.random() * bound / max(judge.fastest(q, error), 1e-300)
+    return judge.arm.clamp(q + error) if judge.fastest(q, error) <= bound else q
