@@ -15,7 +15,7 @@ from app import choices
 from app.commands import interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.kinds import SEEDS, File, Number, OneOf, Repeated, Switch, Whole
+from app.kinds import SEEDS, File, Maybe, Number, OneOf, Repeated, Switch, Whole
 from app.options import Checked, like, option
 from app.settings import DECLARED, Options
 from app.words import OptionError, format_length
@@ -101,6 +101,12 @@ class Verify(Checked):
         "Actuation error after every tick, up to this share of the radius; half the cases have "
         "none. The standoff is then four times the error.",
     )  # fmt: skip
+    guard: str | None = option(
+        Maybe(OneOf("guard", ("tip", "tool"))), None,
+        "Aim with every capsule of the instrument and judge each on its true path, at 10 Hz to "
+        "10 kHz in turn; tool: all of them are guarded, tip: the tip alone. Not given: the tip is "
+        "guarded, aimed and judged.",
+    )  # fmt: skip
     outside: bool = option(
         Switch(), False,
         "Start and ask only outside the undamaged mesh, which the paper's rule takes for granted.",
@@ -115,6 +121,11 @@ class Verify(Checked):
         super().__post_init__()
         if self.steps == 0 and self.queries == 0:
             raise OptionError("nothing to do: steps and queries are both 0")
+        if self.guard is not None and (self.rule != "certified" or self.outside or self.tip_radius):
+            raise OptionError(
+                "guard: the whole instrument is verified with rule certified, without --outside "
+                "and --tip-radius"
+            )
         if self.mesh != "all":
             choices.check_mesh(self.mesh)
 
@@ -125,7 +136,7 @@ def run(options: Verify) -> int:
     import meshes
     import robots
     import vf
-    from app.studies.verification import campaign
+    from app.studies.verification import campaign, instrument
     from app.studies.verification.scenes import SCENES
     from meshes.builtin.damage import damage, kinds
 
@@ -139,9 +150,9 @@ def run(options: Verify) -> int:
     radii: tuple[float | None, ...] = options.radius or (5e-4, 5e-3)
 
     # Other rules than certified are tested with the mesh alone, so that they are comparable.
-    varied = options.rule == "certified" and not options.outside
+    varied = options.rule == "certified" and not options.outside and options.guard is None
     kinds_of_scene = SCENES if varied else SCENES[:1]
-    leak_tools = LEAK_TOOLS if varied else LEAK_TOOLS[:2]
+    leak_tools = LEAK_TOOLS if varied or options.guard is not None else LEAK_TOOLS[:2]
     cases = [(name, kind) for name in sources for kind in damages]
     share = -(-options.steps // (len(cases) * len(radii)))
     query_share = -(-options.queries // (len(cases) * len(LEAK_EDGES)))
@@ -161,17 +172,37 @@ def run(options: Verify) -> int:
                 for k, radius, part, steps in _parts(radii, share):
                     scene = kinds_of_scene[(number + k) % len(kinds_of_scene)]
                     here.scenes.append(scene)
+                    seed = options.seed + 1000 * number + k + 10**6 * part
+                    noise = options.noise if (number + k) % 2 else 0.0
+                    if options.guard is not None:
+                        periods = instrument.PERIODS
+                        here.drives.append(
+                            instrument.drive(
+                                arm, mesh, guard=options.guard, radius=radius,
+                                period=periods[(number + k) % len(periods)], steps=steps,
+                                seed=seed, noise=noise, progress=lambda n: bar.advance(task, n),
+                            )
+                        )  # fmt: skip
+                        continue
                     here.drives.append(
                         campaign.drive(
                             arm, mesh, rule=options.rule, radius=radius, steps=steps,
-                            seed=options.seed + 1000 * number + k + 10**6 * part,
-                            noise=options.noise if (number + k) % 2 else 0.0,
-                            tip_radius=options.tip_radius, scene=scene, outside_of=outside_of,
-                            progress=lambda n: bar.advance(task, n),
+                            seed=seed, noise=noise, tip_radius=options.tip_radius, scene=scene,
+                            outside_of=outside_of, progress=lambda n: bar.advance(task, n),
                         )
                     )  # fmt: skip
                 for k, edges, part, queries in _parts(LEAK_EDGES, query_share):
                     standoff, tip_radius = leak_tools[(number + k) % len(leak_tools)]
+                    if options.guard is not None:
+                        here.covers.append(
+                            instrument.query(
+                                mesh, edges=edges, queries=queries,
+                                seed=options.seed + 1000 * number + k + 10**6 * part,
+                                standoff=standoff, thickness=tip_radius,
+                                progress=lambda n: bar.advance(task, n),
+                            )
+                        )  # fmt: skip
+                        continue
                     here.covers.append(
                         campaign.query(
                             mesh, rule=options.rule, edges=edges, queries=queries,
@@ -198,6 +229,7 @@ def run(options: Verify) -> int:
         [Column("mesh" if by_mesh else "damage", left=True), *(Column(name) for name in COLUMNS)],
         rows,
         title=f"rule {options.rule}, arm {options.robot}, seed {options.seed}, "
+        + ("" if options.guard is None else f"whole instrument, guard {options.guard}, ")
         + (f"damage {damages[0]}" if by_mesh else count(len(sources), "mesh", "meshes")),
     )
     if options.steps and varied:

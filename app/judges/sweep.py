@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
+import vf
 from app.judges import boxes, exact
 from app.judges.boxes import Boxes
 from app.judges.oracles import OVERLAP_TOLERANCE, distance, touches
@@ -96,6 +97,20 @@ class Judge:
         if self._ball:
             found[0] = min(found[0], found[-1])
         return found[: len(self.arm.capsules)]
+
+    def clear(self, q: FloatArray, gap: float) -> bool:
+        """Whether every capsule is at least `gap` [m] away from the mesh."""
+        for k, axis in enumerate(self._axes(q)):
+            tree, _origin = self._tree(k)
+            reach = self.radii[k] + gap
+            near = boxes.near(tree, axis[0], axis[1], reach)
+            if len(near) and _nearest(tree, near, axis)[0] < reach:
+                return False
+        return True
+
+    def fastest(self, q: FloatArray, dq: FloatArray) -> float:
+        """Bound on how far any end of an axis moves while the joints go from q to q + dq [m]."""
+        return float(self._speeds(q, dq).max())
 
     def touches(self, q: FloatArray, q_new: FloatArray) -> list[Touch]:
         """The first contact of every capsule that has one, while the joints move from q to q_new.
@@ -260,3 +275,69 @@ def _point_distances(vertices, faces, x):  # type: ignore[no-untyped-def]
         f = faces[i]
         found[i] = distance(x, x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
     return found
+
+
+def apart(surface: vf.Surface, ends: FloatArray, radius: float) -> bool:
+    """Whether a capsule with axis `ends` (2, 3) neither meets nor overlaps a mesh."""
+    tree = boxes.of(surface)
+    near = boxes.near(tree, ends[0], ends[1], radius)
+    return not len(near) or _nearest(tree, near, ends)[0] > radius + OVERLAP_TOLERANCE
+
+
+def leaks(
+    surface: vf.Surface,
+    planes: vf.Planes,
+    ends: FloatArray,
+    radius: float,
+    tip_radius: float = 0.0,
+    tolerance: float = 1e-11,
+) -> int:
+    """Number of triangles with a point near an axis and strictly in front of every plane.
+
+    The planes are moved back by `tip_radius` [m]. "Near" is within `radius` + `tip_radius` of the
+    axis `ends` (2, 3), and both words mean by more than `tolerance` [m].
+    """
+    tree = boxes.of(surface)
+    reach = radius + tip_radius
+    near = boxes.near(tree, ends[0], ends[1], reach)
+    offsets = planes.offsets - tip_radius
+    return int(
+        _count_leaks(
+            tree.vertices, tree.faces, near, planes.normals, offsets, ends[0], ends[1], reach,
+            tolerance,
+        )
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _count_leaks(vertices, faces, rows, normals, offsets, a, b, reach, tolerance):  # type: ignore[no-untyped-def]
+    """Cut each triangle by every half-space; what is left is looked at triangle by triangle."""
+    m = offsets.shape[0]
+    part, other = np.empty((m + 4, 3)), np.empty((m + 4, 3))
+    count = 0
+    for i in rows:
+        for c in range(3):
+            part[c] = vertices[faces[i, c]]
+        k = 3
+        for j in range(m):
+            kept = 0
+            for c in range(k):
+                p, q = part[c], part[(c + 1) % k]
+                hp = normals[j] @ p - offsets[j] - tolerance
+                hq = normals[j] @ q - offsets[j] - tolerance
+                if hp > 0.0:
+                    other[kept] = p
+                    kept += 1
+                if (hp > 0.0) != (hq > 0.0):
+                    other[kept] = p + hp / (hp - hq) * (q - p)
+                    kept += 1
+            part, other = other, part
+            k = kept
+            if k == 0:
+                break
+        for c in range(1, max(k - 1, min(k, 2))):
+            p, q, r = part[0], part[c], part[min(c + 1, k - 1)]
+            if touches(a, b, p, q, r) > 0 or distance(a, b, p, q, r) < reach - tolerance:
+                count += 1
+                break
+    return count

@@ -102,7 +102,7 @@ def drive(
         dt=scene.period, standoff=max(scene.standoff, 4.0 * bound), tip_radius=tip_radius
     )
     while result.ticks < steps:
-        q = _random_joints(arm, rng)
+        q = random_joints(arm, rng)
         tip = arm.tip(q)
         around = scenes.Surroundings(
             scene,
@@ -168,7 +168,7 @@ def _judge(
     return crossed
 
 
-def _random_joints(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
+def random_joints(arm: robots.Arm, rng: np.random.Generator) -> FloatArray:
     """Random joint positions; a third of them with some joints exactly at their limits."""
     share = rng.uniform(0.02, 0.98, len(arm.lower))
     if rng.random() < 1.0 / 3.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from fractions import Fraction
 from math import isqrt
 
@@ -10,6 +11,7 @@ import pytest
 import trimesh
 
 import robots
+import vf
 from app.judges import boxes, exact, oracles, sweep
 from robots import point
 from tests.support import convex
@@ -204,3 +206,27 @@ def test_what_is_outside_a_ball_is_kept_and_what_is_in_it_is_not() -> None:
         away = np.linalg.norm(p - centre)
         if away > 0.5 * (1.0 + sweep.FINE):
             assert sweep._distances_to(kept, p).min() < 1e-12
+
+
+def test_leaks_along_an_axis_are_those_of_exact_distances() -> None:
+    """Without planes a triangle leaks where it is near; a plane of its own takes it away."""
+    rng = np.random.default_rng(6)
+    seen = 0
+    for _ in range(100):
+        corners = rng.uniform(-1.0, 1.0, (3, 3))
+        ends = rng.uniform(-1.0, 1.0, (2, 3))
+        surface = vf.Surface.from_arrays(corners, np.array([[0, 1, 2]]))
+        gap = root(exact.distance2(*ends, corners))
+        if gap < 1e-6:
+            continue
+        for reach in (0.9 * gap, 1.1 * gap):
+            leaking = sweep.leaks(surface, vf.Planes.none(reach), ends, reach)
+            assert leaking == (gap < reach)
+            seen += leaking
+        assert sweep.apart(surface, ends, 0.9 * gap)
+        assert not sweep.apart(surface, ends, 1.1 * gap + 1e-6)
+        planes = vf.certified_planes(surface, ends, 1.5 * gap, 0.0, 0.2 * gap)
+        assert not sweep.leaks(surface, planes, ends, planes.radius, 0.2 * gap)
+        without = dataclasses.replace(planes, offsets=planes.offsets - gap)
+        assert sweep.leaks(surface, without, ends, planes.radius, 0.2 * gap)
+    assert seen > 50

@@ -53,7 +53,7 @@ def axis_beside(rng: np.random.Generator, triangles: np.ndarray) -> np.ndarray:
     return np.array([spot + out - share * along, spot + out + (1.0 - share) * along])
 
 
-@pytest.mark.parametrize("away", [0.0, 100.0])
+@pytest.mark.parametrize("away", [0.0, pytest.param(100.0, marks=pytest.mark.slow)])
 def test_bounds_on_the_distance_to_a_triangle_are_never_too_large(away: float) -> None:
     rng = np.random.default_rng(0)
     close = 0
@@ -93,15 +93,15 @@ def clear_of(triangles: np.ndarray, ends: np.ndarray) -> float:
     return root(min(exact.axis_distance2(*ends, triangle) for triangle in triangles))
 
 
-@pytest.mark.parametrize("away", [0.0, 30.0])
+@pytest.mark.parametrize("away", [0.0, pytest.param(30.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("standoff", "rho"), [(0.0, 0.0), (STANDOFF, 0.0), (STANDOFF, 2e-3)])
 def test_no_query_leaks_and_standing_still_is_allowed(
     away: float, standoff: float, rho: float
 ) -> None:
     rng = np.random.default_rng(2)
     planes = held = 0
-    for _ in range(40):
-        triangles = some_triangles(rng, 8, 0.01) + away
+    for _ in range(30):
+        triangles = some_triangles(rng, 6, 0.01) + away
         ends = axis_beside(rng, triangles)
         radius = 10.0 ** rng.uniform(-4, -2)
         found = vf.certified_planes(exact.soup(triangles), ends, radius, standoff, rho)
@@ -118,21 +118,21 @@ def test_no_query_leaks_and_standing_still_is_allowed(
         if gap > rho + 1e-9:
             assert exact.leaking(triangles, found, ends, rho).size == 0
         planes += len(found)
-    assert planes > 20
+    assert planes > 12
     assert held < 30
 
 
 def test_steps_of_both_ends_that_obey_keep_the_capsule_clear() -> None:
     rng = np.random.default_rng(3)
     steps = nearest = 0
-    for _ in range(25):
-        triangles = some_triangles(rng, 6, 0.01)
+    for _ in range(16):
+        triangles = some_triangles(rng, 4, 0.01)
         ends = axis_beside(rng, triangles)
         rho = float(rng.choice([0.0, 1e-3]))
         found = vf.certified_planes(exact.soup(triangles), ends, 5e-3, 0.0, rho)
         if clear_of(triangles, ends) <= rho or not found.radius:
             continue
-        for _ in range(15):
+        for _ in range(8):
             way = rng.normal(size=(2, 3))
             way *= found.radius * rng.uniform(0.2, 1.0) / np.linalg.norm(way, axis=1).max()
             new = ends + way
@@ -145,12 +145,12 @@ def test_steps_of_both_ends_that_obey_keep_the_capsule_clear() -> None:
                 if not (found.normals @ new.T >= found.offsets[:, None]).all():
                     continue
             steps += 1
-            for t in (0.2, 0.5, 0.8, 1.0):
+            for t in (0.6, 1.0):
                 gap = clear_of(triangles, ends + t * (new - ends))
                 assert gap > rho
                 nearest += gap < rho + 1e-4
-    assert steps > 80
-    assert nearest > 10
+    assert steps > 40
+    assert nearest > 5
 
 
 def test_an_axis_of_no_length_is_a_tip() -> None:
@@ -205,7 +205,7 @@ def test_a_capsule_that_overlaps_gets_no_deeper() -> None:
 def test_more_rims_than_the_budget_shrink_the_radius_and_still_do_not_leak() -> None:
     """Points on a helix around the axis: none is behind the plane of another."""
     k = np.arange(400)
-    angle, rim = 2.4 * k, 2.1e-3 * (1.0 + 1e-4 * (k % 97))
+    angle, rim = 2.4 * k, 2.1e-3 * (1.0 + 1e-6 * (k % 97))
     points = np.column_stack([rim * np.cos(angle), rim * np.sin(angle), 2.5e-4 * k])
     surface = vf.Surface.from_arrays(points, k[:, None].repeat(3, axis=1))
     ends = np.array([[0.0, 0.0, -0.01], [0.0, 0.0, 0.11]])

@@ -126,13 +126,15 @@ def test_every_part_keeps_clear_on_its_true_path_at_any_rate(part: int, dt: floa
         goal = arm.tip(q)
         goal.translation -= 0.02 * out
         goal.rotation = pin.exp3(rng.normal(size=3)) @ goal.rotation
+        nearest = np.inf
         for _ in range(60):
             step = controller.step(q, goal)
             for t in (0.3, 0.6, 1.0):
                 assert gaps(arm, surface, q + t * (step.q - q)).min() > 0.0
             q = step.q
+            nearest = min(nearest, gaps(arm, surface, q)[part])
         # At low rates steps near the mesh are short: their paths would leave the chord by too much.
-        met += gaps(arm, surface, q)[part] < (3.0 * STANDOFF if dt <= 1e-3 else 4e-4)
+        met += nearest < (3.0 * STANDOFF if dt <= 1e-3 else 4e-4)
     assert met or part == 3  # the upper shaft moves little
 
 
@@ -204,8 +206,9 @@ def test_a_shaft_that_is_drawn_back_into_its_port_is_not_held_there() -> None:
     arm = robots.load("psm")
     q = arm.neutral.copy()
     q[2] = 0.03
-    sheet = SHEET[:, [2, 0, 1]] - [0.0062, 0.0, 0.0]  # upright, beside the shaft, through the zone
-    surface = vf.Surface.from_arrays(0.02 * ([*sheet, 0.0062, 0, 0]) - [0.0062, 0, 0], HALVES)
+    # Upright beside the shaft, where the zone is, and too near for a shaft outside of it.
+    upright = 0.02 * SHEET[:, [2, 0, 1]] - np.array([0.0062, 0.0, 0.0])
+    surface = vf.Surface.from_arrays(upright, HALVES)
     controller = controller_of(arm, surface, trocar=0.03)
     steps = driven(controller, q, np.array([0.0, 0.0, 0.005]), 20)
     assert steps[-1].status is vf.Status.SOLVED

@@ -272,7 +272,7 @@ def test_starts_are_free_and_near_the_surface_all_over_the_range():
     limits = 0
     for name in ("cube", "thin-plate"):
         for _ in range(20):
-            q = campaign._random_joints(arm, rng)
+            q = campaign.random_joints(arm, rng)
             assert (q >= arm.lower).all()
             assert (q <= arm.upper).all()
             limits += int(((q == arm.lower) | (q == arm.upper)).any())
