@@ -43,8 +43,10 @@ def serve(options: Options, scenario: Scenario | None = None) -> int:
     began = time.perf_counter()
     with _Steps(console) as step:
         step("loading libraries")
+        from app.control.priority import raise_process_priority
         from app.session import Session
 
+        raise_process_priority()
         session = Session(options, progress=step, process=True)
         tape = None if options.record is None else session.record(options.record)
         with session:

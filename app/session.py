@@ -8,21 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pinocchio as pin
-from numpy.typing import ArrayLike
-
 import robots
-from app.control.autopilot import Script
 from app.control.engine import Orders
 from app.control.host import Host
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
-from app.control.process import Child, ControlProcess
+from app.control.process.handle import Child
+from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
-from app.devices.page import PageMaster, checked_pose
+from app.devices.page import PageMaster
+from app.driving import Driving
 from app.kinds import Number
 from app.options import Scope
 from app.recording.capture import Tape
@@ -39,13 +36,13 @@ LIVE = tuple(  # options that are set while a session runs
 )
 
 
-class Session:
+class Session(Driving):
     """A running sandbox with its control loop. Thread-safe. Poses are in the arm's base frame.
 
     Attributes:
         scene: the present `Scene`; replaced as a whole by `change`.
         options: the `Options` in force.
-        master: the operator's input device; it is moved by the methods below.
+        master: the operator's input device; it is moved by the operator's orders.
         work: the long operation in progress, such as a `change`, if there is one.
     """
 
@@ -107,7 +104,11 @@ class Session:
             self._writer = OrderWriter(orders, self._loop.orders)
 
     def __enter__(self) -> Session:
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -142,11 +143,6 @@ class Session:
     def unwatched(self) -> int:
         """Number of ticks that were not tested for a crossing; 0 in normal operation."""
         return self._watch.missed
-
-    @property
-    def handle(self) -> pin.SE3:
-        """The master's present pose, at which the gizmo is drawn."""
-        return self.master.handle
 
     @property
     def tape(self) -> Tape | None:
@@ -218,122 +214,6 @@ class Session:
         """Whether orders are refused, see `suspend`."""
         return bool(self._writer.closed)
 
-    # Orders of the operator
-
-    def drive(self, target: pin.SE3, held: bool = False) -> None:
-        """Move the handle; ends the autopilot.
-
-        Args:
-            target: pose of the handle, arm base frame; with scale 1 it is that of the proxy.
-            held: a drag is going on: unless `drive` or `touch` is called again within
-                `Options.stale_after`, the tool holds.
-
-        Raises:
-            Refused: not finite, not a rotation, or too far from the base. The pose stays.
-        """
-        with self._writer.exclusive():
-            self.master.move(target, held)
-            self._command(autopilot=False)
-
-    def touch(self) -> None:
-        """Keep a drag alive while the handle rests.
-
-        Does not block: if another thread holds the lock, this does nothing.
-        """
-        if not self._writer.lock.acquire(blocking=False):
-            return
-        try:
-            if self.master.held and not self._writer.closed:
-                self._command()
-        finally:
-            self._writer.lock.release()
-
-    def nudge(self, shift: ArrayLike) -> None:
-        """Move the handle by shift (3,) [m], base frame; ends the autopilot.
-
-        Raises:
-            Refused: not three finite numbers, or too far from the base. The pose stays.
-        """
-        shift = np.asarray(shift, dtype=np.float64)
-        if shift.shape != (3,) or not np.isfinite(shift).all():
-            raise Refused(f"a nudge is three finite lengths, not {shift.tolist()}")
-        with self._writer.exclusive():
-            if self._writer.orders.autopilot:
-                self.set_autopilot(False)
-            self.drive(pin.SE3(self.handle.rotation, self.handle.translation + shift))
-
-    def recall(self) -> None:
-        """Move handle and proxy to the tool; ends the autopilot."""
-        with self._writer.exclusive():
-            self.master.place(self._tool())
-            self._command(autopilot=False)
-
-    def clutch(self, pressed: bool) -> None:
-        """Press the clutch: the tool holds, the force is zero and the handle moves alone.
-
-        On release the proxy is latched to the tool and the handle to the proxy.
-        """
-        with self._writer.exclusive():
-            if pressed != self.master.clutched:
-                self.master.clutch(pressed, self._tool())
-                self._command()
-
-    def pause(self) -> None:
-        """Stop the ticks; telemetry keeps showing the last one."""
-        with self._writer.exclusive():
-            self._writer.write(paused=True)
-
-    def resume(self) -> None:
-        """Resume the ticks, with the present proxy."""
-        with self._writer.exclusive():
-            self._writer.write(paused=False)
-
-    def single_step(self, ticks: int = 1) -> None:
-        """Pause, and do exactly this number of ticks at the loop's rate."""
-        with self._writer.exclusive():
-            self._writer.write(paused=True, steps=self._writer.orders.steps + ticks)
-
-    def reset(self) -> None:
-        """Move the tool to the scene's start, and handle and proxy to the tool."""
-        with self._writer.exclusive():
-            self._to_start()
-            self._command(autopilot=False, resets=self._writer.orders.resets + 1)
-
-    def set_autopilot(self, on: bool) -> None:
-        """On: the scene's script moves the proxy, from its beginning. Off: the proxy stays."""
-        with self._writer.exclusive():
-            if on == self._writer.orders.autopilot:
-                return
-            target = self.latest().target
-            if on:
-                self.master.hold()
-            elif target is not None:
-                self.master.place(target)
-            self._command(autopilot=on)
-
-    def put(self, proxy: pin.SE3) -> None:
-        """Set the pose of proxy and handle; ends the autopilot.
-
-        Raises:
-            Refused: not finite, not a rotation, or too far from the base.
-        """
-        pose = checked_pose(proxy)
-        with self._writer.exclusive():
-            self.master.hold()
-            self.master.place(pose)
-            self._command(autopilot=False)
-
-    def perform(self, script: Script) -> None:
-        """Move the tool to the scene's start and let this script move the proxy.
-
-        It replaces the scene's own script until the scene is changed.
-        """
-        with self._writer.exclusive():
-            self.scene = replace(self.scene, autopilot=script)
-            plant = scenes.plant(self.scene, self.options)
-            self._to_start()
-            self._command(autopilot=True, plant=plant, resets=self._writer.orders.resets + 1)
-
     def set(self, **changes: Any) -> Options:
         """Change options of the fixture and of teleoperation; returns the options in force.
 
@@ -362,9 +242,9 @@ class Session:
                     orders["plant"] = scenes.plant(self.scene, options)
             except ValueError as error:
                 raise Refused(str(error)) from None
-            self.options = options
             if orders:
                 self._writer.write(**orders)
+            self.options = options
             if Scope.TELEOPERATION in changed:
                 self._remap()
             return options
@@ -412,9 +292,9 @@ class Session:
                 # Settings may have changed while the scene was built.
                 options = replace(self.options, **wanted)
                 plant = scenes.plant(new, options)
-                self.scene, self.options = new, options
                 self.master.hold()
                 self._command(autopilot=False, plant=plant)
+                self.scene, self.options = new, options
                 self._loop.wait_for_scene(new.version)
                 self._remap()
                 self.master.place(self._tool())
@@ -428,26 +308,3 @@ class Session:
         self._watch.take(orders, telemetry, ticked)
         if telemetry.step is not None:
             self.master.feel(telemetry.step.force)
-
-    def _to_start(self) -> None:
-        """Move the handle to the tool's start, and clear the proxy."""
-        self.master.place(self.scene.T_base_start)
-        self.master.hold()
-
-    def _remap(self) -> None:
-        """Apply the present settings of teleoperation; the proxy does not move."""
-        options = self.options
-        self.master.remap(options.scale, options.lock_orientation)
-        self._writer.write(scale=options.scale, lock_orientation=options.lock_orientation)
-
-    def _command(self, **changes: Any) -> None:
-        """Write the master's command together with other changes of the orders."""
-        sequence = self._writer.orders.command.sequence + 1
-        self._writer.write(command=self.master.command(sequence), **changes)
-
-    def _tool(self) -> pin.SE3:
-        """The tool's pose as last seen."""
-        telemetry = self.latest()
-        if telemetry.step is None or telemetry.scene != self.scene.version:
-            return pin.SE3(self.scene.T_base_start)
-        return pin.SE3(telemetry.step.tip)

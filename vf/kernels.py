@@ -215,7 +215,10 @@ class _SealedFiles(IndexDataCacheFile):
         content = data[SEAL:]
         if data[:SEAL] != self._seal(os.path.basename(path), content):
             return None
-        return pickle.loads(content)
+        try:
+            return pickle.loads(content)
+        except Exception:  # it names a module or a class that has moved since
+            return None
 
     def _load_index(self) -> dict[object, str]:
         return self._read(self._index_path) or {}

@@ -92,11 +92,13 @@ def run(
     """
     from app.bench.loop import Tap, summary
     from app.bench.tools.machine import machine, percentiles
+    from app.control.priority import raise_process_priority
     from app.session import Session
     from app.settings import Options
     from app.view.page import Page
 
     about = machine()
+    raise_process_priority()
     with ExitStack() as stack:
         wanted = Options(mesh=options.mesh, rate=options.rate, port=0)
         session = Session(wanted, progress=say, process=True)
@@ -110,22 +112,23 @@ def run(
         dragger = stack.enter_context(Dragger(page.url))
         time.sleep(SETTLE)
         say(f"{options.drags} drag events")
-        first, began = tap.count, time.perf_counter()
+        began = time.perf_counter()
         p, step = _arrow(page, dragger.ask("box"))
         dragger.ask("drag", at=p.tolist(), by=step.tolist(), count=options.drags)
-        dragging = summary(tap.since(first), time.perf_counter() - began, options.rate)
+        ended = time.perf_counter()
+        dragging = summary(tap.between(began, ended), ended - began, options.rate)
         delays = delays_of(dragger.ask("log"))
         advance(0.5)
         say(f"autopilot, {options.seconds:g} s")
         session.reset()
         session.set_autopilot(True)
         time.sleep(SETTLE)
-        first, began = tap.count, time.perf_counter()
+        began = time.perf_counter()
         before, seen = len(dragger.ask("log")["moved"]), dragger.ask("picture")
         time.sleep(options.seconds)
         elapsed = time.perf_counter() - began
         after, picture = len(dragger.ask("log")["moved"]), dragger.ask("picture")
-        flying = summary(tap.since(first), elapsed, options.rate)
+        flying = summary(tap.between(began, began + elapsed), elapsed, options.rate)
         advance(1.0)
         of = (50.0, 90.0)
         return {

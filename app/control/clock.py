@@ -8,6 +8,7 @@ import vf
 from app.control.messages import LoopStats
 
 SUMMARIES = 4  # of the statistics, per second
+NONE, TICKED, SKIPPED = 0, 1, 2  # what a period of the loop was
 
 
 class Clock:
@@ -69,3 +70,26 @@ class Clock:
             overruns=self._overruns,
             counts=dict(self._counts),
         )
+
+
+class Timing:
+    """A clock that only keeps what it was told last, for a `Clock` in another process.
+
+    Attributes:
+        stats: none.
+        last: what the period was, status, overrun, started, late and spent as in `Clock.record`.
+    """
+
+    def __init__(self) -> None:
+        self.stats = LoopStats()
+        self.last: tuple[int, int, bool, float, float, float] = (NONE, 0, False, 0.0, 0.0, 0.0)
+
+    def record(
+        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
+    ) -> None:
+        """Note one tick."""
+        self.last = TICKED, int(status), overrun, started, late, spent
+
+    def skip(self, started: float) -> None:
+        """Note a period without a tick."""
+        self.last = SKIPPED, 0, False, started, 0.0, 0.0

@@ -12,11 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import vf
-from app.control.clock import Clock
+from app.control.clock import Clock, Timing
 from app.control.engine import Orders, State
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
-from app.control.wire import Timing
 from app.recording.capture import Tape
 from app.refused import Refused
 

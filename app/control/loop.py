@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 
 import vf
-from app.control.clock import Clock
+from app.control.clock import Clock, Timing
 from app.control.engine import Engine, Orders, State
 from app.control.host import Host
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
-from app.control.wire import Timing
+from app.control.priority import CONTROL_PRIORITY, raise_thread_priority
 from app.devices import protocols
 from app.refused import Refused
 
@@ -37,10 +37,6 @@ LONGEST_INTERVAL = 2e-4  # upper bound of the switch interval [s]
 # Wake-ups are about 50 µs late, so the loop busy-waits for this long before a deadline [s]; other
 # threads still get the interpreter lock within the switch interval.
 SPIN = 1e-4
-# Real-time priorities, where the system permits them.
-CONTROL_PRIORITY = 10
-VIEW_PRIORITY = 5
-BUILD_PRIORITY = 5  # of the control process's other thread, which must not be pushed off its core
 
 
 class ControlLoop(Host):
@@ -216,18 +212,6 @@ def _switch_interval(cost: float, cores: int | None = None) -> float:
     return min(max(SWITCH_INTERVAL, factor * cost), LONGEST_INTERVAL)
 
 
-def raise_process_priority() -> None:
-    """Raise this process's scheduling priority, where the system permits it.
-
-    Call it before other threads are started: they inherit it. The control thread's own priority is
-    not enough: it waits for the thread that holds the interpreter lock, which may be preempted by
-    another process such as a browser.
-    """
-    if sys.platform.startswith("linux"):
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, -10)
-
-
 def _request_realtime() -> None:
     """On Linux, set a timer slack of 1 µs (default: 50 µs) and real-time scheduling, if permitted.
 
@@ -241,19 +225,3 @@ def _request_realtime() -> None:
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1000), 0, 0, 0)
     raise_thread_priority(CONTROL_PRIORITY)
-
-
-def raise_thread_priority(priority: int) -> None:
-    """Schedule the calling thread in real time if the system permits it, else raise its priority.
-
-    Threads and processes that it starts do not inherit real-time scheduling.
-    """
-    if not sys.platform.startswith("linux"):
-        return
-    thread = threading.get_native_id()
-    try:
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(thread, policy, os.sched_param(priority))
-    except OSError:
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, thread, -10)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.control.engine import Orders
-from app.control.loop import VIEW_PRIORITY, raise_thread_priority
 from app.control.messages import Telemetry
+from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.judges.meeting import first_meeting
 
 log = logging.getLogger(__name__)

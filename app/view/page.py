@@ -13,7 +13,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.control.loop import VIEW_PRIORITY, raise_thread_priority
+from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.recording.playback import Moment
 from app.scenarios.file import Scenario
 from app.scene.library import Library
@@ -168,8 +168,8 @@ class Page:
         self._frame()  # complete before the first client connects
         self._read_out()
         self._stop = threading.Event()
-        # Raised priority for the server's and the view thread: if one of them is preempted by the
-        # browser's rendering while it holds the GIL, the control thread waits as well.
+        # Raised priority for the server's and the view thread, so that a drag does not wait for the
+        # browser's rendering on the same cores.
         self._server.get_event_loop().call_soon_threadsafe(raise_thread_priority, VIEW_PRIORITY)
         self._thread = threading.Thread(target=self._run, name="view", daemon=True)
         self._thread.start()

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from vf.qp.least_squares import Solver
 
 Rgb = tuple[int, int, int]
 
@@ -109,13 +108,13 @@ STATUS_HELP: dict[vf.Status, str] = {
     vf.Status.REFUSED: "proxy unusable",
 }
 
-SOLVER_HELP: dict[Solver, str] = {
-    Solver.FREE: "no plane in the way",
-    Solver.PROJECTED: "one plane, direct",
-    Solver.SOLVED: "several planes",
-    Solver.NOT_CONVERGED: "not converged",
-    Solver.INFEASIBLE: "no step allowed",
-    Solver.IDLE: "not asked",
+SOLVER_HELP: dict[vf.Solver, str] = {
+    vf.Solver.FREE: "no plane in the way",
+    vf.Solver.PROJECTED: "one plane, direct",
+    vf.Solver.SOLVED: "several planes",
+    vf.Solver.NOT_CONVERGED: "not converged",
+    vf.Solver.INFEASIBLE: "no step allowed",
+    vf.Solver.IDLE: "not asked",
 }
 
 

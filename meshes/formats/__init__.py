@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from meshes.content import Content
-from meshes.formats import freesurfer, gifti, gltf, obj, off, ply, stl, threemf, vtk, vtp
+from meshes.formats import freesurfer, gifti, glb, gltf, obj, off, ply, stl, threemf, vtk, vtp
 from meshes.packed import MAGIC
 
 
@@ -44,7 +44,7 @@ TABLE = (
     Format("OBJ", ("obj",), obj.read, obj.write),
     Format("PLY", ("ply",), ply.read, ply.write),
     Format("OFF", ("off",), off.read, off.write),
-    Format("GLB", ("glb",), gltf.read_glb, gltf.write_glb, **_SCENE),
+    Format("GLB", ("glb",), glb.read, glb.write, **_SCENE),
     Format("glTF", ("gltf",), gltf.read, **_SCENE),
     Format("3MF", ("3mf",), threemf.read),
     Format("VTP", ("vtp",), vtp.read),

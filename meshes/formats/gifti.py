@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes import xmlfile
 from meshes.content import Content, check_unpacked, checked, cut_off
 from meshes.errors import MeshError
-from meshes.formats import text, xmlfile
+from meshes.formats import text
 from meshes.packed import base64_bytes, inflated
 
 _TYPES = {

@@ -1,4 +1,4 @@
-"""Reading glTF 2.0 and GLB, the triangles of the default scene; writing GLB.
+"""Reading glTF 2.0: the triangles of the default scene.
 
 An own reader: trimesh does not scale normalized integers, and ignores triangle fans, sparse
 accessors and required extensions. A file with a feature that is not supported is refused by the
@@ -8,7 +8,6 @@ name of that feature. Textures are never opened.
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -47,11 +46,6 @@ _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 _POINTS_AND_LINES, _TRIANGLES, _STRIP, _FAN = (0, 1, 2, 3), 4, 5, 6
 
 
-def read_glb(data: bytes, folder: Path) -> Content:
-    """As `read`, of a binary file."""
-    return _read(*_parts(data), len(data), folder)
-
-
 def read(data: bytes, folder: Path) -> Content:
     """Every placed body of a glTF, in metres.
 
@@ -61,10 +55,11 @@ def read(data: bytes, folder: Path) -> Content:
         MeshError: cut off, damaged, with a feature that is not supported, or too many nodes,
             vertices or triangles, each counted as often as it is placed.
     """
-    return _read(_json(data), None, len(data), folder)
+    return read_parts(header_of(data), None, len(data), folder)
 
 
-def _read(header: dict[str, Any], chunk: bytes | None, size: int, folder: Path) -> Content:
+def read_parts(header: dict[str, Any], chunk: bytes | None, size: int, folder: Path) -> Content:
+    """The same of the parsed header and the binary part of a file of ``size`` bytes."""
     try:
         return _content(header, chunk, size, folder)
     except MeshError:
@@ -75,29 +70,8 @@ def _read(header: dict[str, Any], chunk: bytes | None, size: int, folder: Path) 
         raise MeshError("not as glTF 2.0 says: a value of another kind, damaged") from error
 
 
-def _parts(data: bytes) -> tuple[dict[str, Any], bytes | None]:
-    """The JSON and the binary chunk of a GLB."""
-    if data[:4] != b"glTF":
-        raise MeshError("not GLB: it does not begin with 'glTF'")
-    if len(data) >= 8 and (version := int.from_bytes(data[4:8], "little")) != 2:
-        raise MeshError(f"glTF {version}: only version 2 is read; export it again")
-    total = int.from_bytes(data[8:12], "little")
-    if len(data) < 20 or len(data) < total:
-        raise cut_off(f"{max(total, 20):,} bytes", f"{len(data):,}")
-    place = 12
-    chunks: dict[bytes, bytes] = {}
-    while place + 8 <= total:
-        size, name = int.from_bytes(data[place : place + 4], "little"), data[place + 4 : place + 8]
-        if place + 8 + size > len(data):
-            raise cut_off(f"a part of {size:,} bytes", f"{len(data) - place - 8:,}")
-        chunks.setdefault(name, data[place + 8 : place + 8 + size])
-        place += 8 + size
-    if b"JSON" not in chunks:
-        raise MeshError("a GLB without its JSON part: damaged")
-    return _json(chunks[b"JSON"]), chunks.get(b"BIN\0")
-
-
-def _json(text: bytes) -> dict[str, Any]:
+def header_of(text: bytes) -> dict[str, Any]:
+    """The parsed JSON; raises `MeshError`."""
     try:
         header = json.loads(text.decode("utf-8-sig"))
     except RecursionError:
@@ -391,35 +365,3 @@ class _File:
         if self.size > SIZE_LIMIT:
             raise MeshError(f"refers to {shown!r}, too large")
         return file.read_bytes()
-
-
-def write_glb(v: NDArray[np.float64], f: NDArray[np.int64], comment: str) -> bytes:
-    """The bytes of a GLB file, one body in single precision; see `meshes.formats.Format`."""
-    corners, points = f.astype("<u4").tobytes(), v.astype("<f4")
-    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    views = [
-        {"buffer": 0, "byteLength": points.nbytes, "target": 34962},
-        {"buffer": 0, "byteOffset": points.nbytes, "byteLength": len(corners), "target": 34963},
-    ]
-    accessors = [
-        {"bufferView": 0, "componentType": 5126, "count": len(v), "type": "VEC3",
-         "min": low.tolist(), "max": high.tolist()},
-        {"bufferView": 1, "componentType": 5125, "count": f.size, "type": "SCALAR"},
-    ]  # fmt: skip
-    header = json.dumps(
-        {
-            "asset": {"version": "2.0", "generator": comment},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-            "buffers": [{"byteLength": points.nbytes + len(corners)}],
-            "bufferViews": views,
-            "accessors": accessors,
-        }
-    ).encode()
-    header += b" " * (-len(header) % 4)
-    body = points.tobytes() + corners
-    chunks = struct.pack("<2I", len(header), 0x4E4F534A) + header
-    chunks += struct.pack("<2I", len(body), 0x004E4942) + body
-    return b"glTF" + struct.pack("<2I", 2, 12 + len(chunks)) + chunks

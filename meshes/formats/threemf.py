@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes import xmlfile
 from meshes.content import Arrays, Content, check_placed, check_unpacked, checked, moved
 from meshes.errors import MeshError
-from meshes.formats import text, xmlfile
+from meshes.formats import text
 
 MOST_BODIES = 100_000
 DEPTH = 32  # of components in components

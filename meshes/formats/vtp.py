@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes import frames
+from meshes import frames, xmlfile
 from meshes.content import Content, check_unpacked, cut_off
 from meshes.errors import MeshError
-from meshes.formats import text, xmlfile
+from meshes.formats import text
 from meshes.packed import base64_bytes, inflated
 from meshes.polygons import Lists, body
 

@@ -12,6 +12,7 @@ import meshes
 import robots
 import vf
 from app import choices, kinds
+from app.bench.tools import settings as bench_settings
 from app.kinds import (
     File,
     Kind,
@@ -32,7 +33,7 @@ from app.scenarios.presets import PRESETS
 from app.settings import DECLARED, Options
 from app.studies.experiments import protocol, site
 from app.words import OptionError
-from meshes.builtin import damage
+from meshes.builtin import damage, ladder
 
 
 def outside(kind: Kind) -> list[Any]:
@@ -122,4 +123,6 @@ def test_the_choices_are_those_of_the_libraries() -> None:
     assert meshes.names() == choices.MESHES
     assert {*meshes.catalogue(), *meshes.absent()} == {*choices.MESHES, *choices.FROM_PACKAGES}
     assert tuple(PRESETS) == choices.SCENARIOS
+    assert sorted(meshes.WRITABLE) == sorted(bench_settings.FORMATS)
+    assert ladder.SIZES == bench_settings.SIZES
     assert sorted(site.SEGMENTS) == sorted(choices.SKULLS)

@@ -15,7 +15,7 @@ def controls_of(parent: int) -> list[int]:
                 stat = (folder / "stat").read_text().rpartition(")")[2].split()
             except OSError:
                 continue
-            if b"app.control.child" in words and int(stat[1]) == parent:
+            if b"app.control.process.child" in words and int(stat[1]) == parent:
                 found.append(int(folder.name))
     return found
 

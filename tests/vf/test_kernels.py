@@ -121,6 +121,21 @@ def test_whatever_is_cut_off_or_flipped_is_compiled_anew_and_mended(tmp_path):
     assert loaded(mended)
 
 
+def test_a_file_that_names_a_module_that_has_moved_is_compiled_anew(tmp_path):
+    module = start(tmp_path)
+    module.caller(3.0)
+    for path in files(tmp_path):
+        content = b"cno.such.module\nThing\n."  # a pickle of a global name
+        seal = module.caller._cache._cache_file._seal(path.name, content)
+        path.write_bytes(seal + content)
+        again = start(tmp_path)
+        assert again.caller(3.0) == OF_THREE
+        assert not loaded(again)
+    mended = start(tmp_path)
+    assert mended.caller(3.0) == OF_THREE
+    assert loaded(mended)
+
+
 def test_no_file_stands_for_another(tmp_path):
     module = start(tmp_path)
     module.caller(3.0)

@@ -86,13 +86,14 @@ def left_over(scratch: FloatArray, n: int, count: int) -> tuple[FloatArray, Floa
 @njit(cache=True)
 def reduce(  # type: ignore[no-untyped-def]
     J, d, damping, G, b, lower, upper, pace, m,
-    factor, best, rows, bounds, scales, origin, dq,
+    factor, best, rows, bounds, scales, origin, dq, inverse, norms, middles,
 ):  # fmt: skip
     """Factor, unconstrained optimum and how many rows matter.
 
     FREE_ROWS: `dq` is the answer; NO_WAY: no step obeys the rows. The factor's diagonal holds
     reciprocals: a division takes as long as several products.
 
+    `inverse` (n, n), `norms` and `middles` (n,) are working memory.
     `origin` is the row of G, or −1 − j for the lower and −1 − n − j for the upper bound of joint j.
     """
     k, n = J.shape
@@ -155,28 +156,12 @@ def reduce(  # type: ignore[no-untyped-def]
     # the check of the step.
     half = 0.5 * np.sqrt(length) + 8.0 * 1e3 * highest
     count = 0
-    for i in range(m + 2 * n):
-        if i < m:
-            for j in range(n):
-                h = G[i, j]
-                for r in range(j):
-                    h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h * factor[j, j]
-            bound = b[i]
-            origin[count] = i
-        else:
-            c = (i - m) % n
-            sign = 1.0 if i < m + n else -1.0
-            for j in range(c):
-                rows[count, j] = 0.0
-            rows[count, c] = sign * factor[c, c]
-            for j in range(c + 1, n):
-                h = 0.0
-                for r in range(c, j):
-                    h -= factor[j, r] * rows[count, r]
-                rows[count, j] = h * factor[j, j]
-            bound = lower[c] if sign > 0.0 else -upper[c]
-            origin[count] = -1 - (i - m)
+    for i in range(m):
+        for j in range(n):
+            h = G[i, j]
+            for r in range(j):
+                h -= factor[j, r] * rows[count, r]
+            rows[count, j] = h * factor[j, j]
         norm = 0.0
         middle = 0.0
         for j in range(n):
@@ -184,17 +169,53 @@ def reduce(  # type: ignore[no-untyped-def]
             middle += rows[count, j] * best[j]
         norm = np.sqrt(norm)
         if norm < 1e-12:  # no joint moves the tip along this normal
-            if bound > 0.0:
+            if b[i] > 0.0:
                 return NO_WAY
             continue
-        bound *= 1e3 / norm
+        bound = b[i] * (1e3 / norm)
         if 0.5 * middle / norm - half > bound + 1e-9:
             continue
         for j in range(n):
             rows[count, j] /= norm
         bounds[count] = bound
         scales[count] = norm
+        origin[count] = i
         count += 1
+    # Bounds of the joints: the rows of lower and upper bounds differ in sign only.
+    for c in range(n):
+        for j in range(c):
+            inverse[c, j] = 0.0
+        inverse[c, c] = factor[c, c]
+        for j in range(c + 1, n):
+            h = 0.0
+            for r in range(c, j):
+                h -= factor[j, r] * inverse[c, r]
+            inverse[c, j] = h * factor[j, j]
+        norm = 0.0
+        middle = 0.0
+        for j in range(n):
+            norm += inverse[c, j] * inverse[c, j]
+            middle += inverse[c, j] * best[j]
+        norms[c] = np.sqrt(norm)
+        middles[c] = middle
+    for side in range(2):
+        sign = 1.0 - 2.0 * side
+        for c in range(n):
+            bound = lower[c] if side == 0 else -upper[c]
+            norm = norms[c]
+            if norm < 1e-12:
+                if bound > 0.0:
+                    return NO_WAY
+                continue
+            bound *= 1e3 / norm
+            if 0.5 * sign * middles[c] / norm - half > bound + 1e-9:
+                continue
+            for j in range(n):
+                rows[count, j] = sign * inverse[c, j] / norm
+            bounds[count] = bound
+            scales[count] = norm
+            origin[count] = -1 - c - n * side
+            count += 1
     if count == 0:
         # The unconstrained optimum misses its bounds by rounding only.
         for j in range(n):
@@ -328,11 +349,15 @@ def attempt(J, d, damping, G, b, lower, upper, pace, m, scratch, multipliers):  
     """
     n = J.shape[1]
     factor, best, x, dq, rows, bounds, scales, y, origin = carve(scratch, n)
-    multipliers[:m] = 0.0
-    dq[:] = 0.0
+    inverse, norms, middles, _ = carve_rest(scratch, n)
+    for i in range(m):
+        multipliers[i] = 0.0
+    for j in range(n):
+        dq[j] = 0.0
     count = reduce(
-        J, d, damping, G, b, lower, upper, pace, m, factor, best, rows, bounds, scales, origin, dq
-    )
+        J, d, damping, G, b, lower, upper, pace, m, factor, best, rows, bounds, scales, origin, dq,
+        inverse, norms, middles,
+    )  # fmt: skip
     if count == FREE_ROWS:
         return FREE, 0
     if count == NO_WAY:

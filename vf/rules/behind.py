@@ -32,7 +32,7 @@ def since(seen, m):  # type: ignore[no-untyped-def]
     return (-1 << seen) & (-1 if m == 64 else (1 << m) - 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def box_behind(nodes, node, planes, less, near, mask):  # type: ignore[no-untyped-def]
     """Whether a node's box is wholly behind one of the planes of a mask, rounding included.
 
@@ -81,7 +81,7 @@ def rounding_of(corners, t, near):  # type: ignore[no-untyped-def]
     return max(ROUND * size, near)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-untyped-def]
     """Whether a triangle is wholly behind one of the planes of a mask, as `box_behind` for a box.
 
@@ -89,9 +89,6 @@ def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-un
         The answer, and a mask of the planes that a part of the triangle is behind.
     """
     left = 0
-    if mask == 0:
-        return False, left
-    rounding = rounding_of(corners, t, near)
     while mask != 0:
         i = lowest_bit(mask)
         bit = mask & -mask
@@ -100,7 +97,9 @@ def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-un
         h0 = nx * corners[t, 0] + ny * corners[t, 1] + nz * corners[t, 2]
         h1 = nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5]
         h2 = nx * corners[t, 6] + ny * corners[t, 7] + nz * corners[t, 8]
-        if max(h0, h1, h2) < planes[i, at.LIMIT] - less * planes[i, at.BUMP] - rounding:
+        highest = max(h0, h1, h2)
+        limit = planes[i, at.LIMIT] - less * planes[i, at.BUMP]
+        if highest < limit and highest < limit - rounding_of(corners, t, near):
             return True, 0
         if min(h0, h1, h2) < planes[i, at.LIMIT]:
             left |= bit

@@ -186,10 +186,12 @@ def walk(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = less_of_bumps(d2, tip_radius, far)
         if item >= 0:
-            hidden, cut = box_behind(nodes, item, planes, less, near, since(seen, m))
-            if hidden:
-                continue
-            mask |= cut
+            fresh = since(seen, m)
+            if fresh != 0:
+                hidden, cut = box_behind(nodes, item, planes, less, near, fresh)
+                if hidden:
+                    continue
+                mask |= cut
             link = nodes[item, 15]
             if link > 0.0:
                 first, last = children_of(link)
@@ -203,15 +205,19 @@ def walk(  # type: ignore[no-untyped-def]
                     e2 = box_gap2(nodes, entry, ends)
                     if e2 > reach2:
                         continue
-                    hidden, cut = box_behind(
-                        nodes, entry, planes, less_of_bumps(e2, tip_radius, far), near, mask
-                    )
-                    if hidden:
-                        continue
+                    cut = 0
+                    if mask != 0:
+                        hidden, cut = box_behind(
+                            nodes, entry, planes, less_of_bumps(e2, tip_radius, far), near, mask
+                        )
+                        if hidden:
+                            continue
                 else:
-                    hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
-                    if hidden:
-                        continue
+                    cut = 0
+                    if mask != 0:
+                        hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
+                        if hidden:
+                            continue
                     e2 = triangle_gap2(corners, entry, slivers, ends)
                 # Rounding may put a child nearer than its parent: keys must not decrease.
                 e2 = max(e2, d2)
@@ -228,13 +234,14 @@ def walk(  # type: ignore[no-untyped-def]
             continue
 
         t = -1 - item
-        hidden, cut = triangle_behind(corners, t, planes, less, near, since(seen, m))
-        if hidden:
-            continue
+        fresh = since(seen, m)
+        if fresh != 0:
+            hidden, cut = triangle_behind(corners, t, planes, less, near, fresh)
+            if hidden:
+                continue
+            mask |= cut
         rounding = rounding_of(corners, t, near)
-        corners_left, swapped = remainder(
-            corners, t, planes, less, rounding, mask | cut, polygon, spare
-        )
+        corners_left, swapped = remainder(corners, t, planes, less, rounding, mask, polygon, spare)
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon

@@ -13,7 +13,7 @@ import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
-from app.control.loop import VIEW_PRIORITY, raise_thread_priority
+from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.refused import Refused
 from app.session import Session
 from app.view.clients import client_names

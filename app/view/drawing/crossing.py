@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import viser
 
 from app.control.watch import Crossing
 from app.recording.playback import Moment
 from app.view import palette
+from app.view.drawing import nodes
 from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import to_view
@@ -17,14 +17,7 @@ class CrossingMark(Part):
     """A dot and a label at the first crossing since the last reset or change of scene."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
-        self._dot = api.add_point_cloud(
-            "/crossing/dot",
-            points=np.zeros((1, 3), dtype=np.float32),
-            colors=np.array([palette.ALARM], dtype=np.uint8),
-            point_size=0.1,
-            point_shape="circle",
-            visible=False,
-        )
+        self._dot = nodes.dot(api, "/crossing/dot", palette.ALARM, 0.1)
         self._label = labels.add("/crossing/label", anchor="top-left")
         self._shown: Crossing | None = None
 

@@ -1,4 +1,4 @@
-"""Lights of the scene, and nodes that are created hidden and receive their geometry later."""
+"""Lights of the scene, and nodes, mostly created hidden; their geometry or place follows."""
 
 from __future__ import annotations
 
@@ -35,6 +35,27 @@ def lines(
         thickness=thickness,
         thickness_units="screen",
         visible=False,
+    )
+
+
+def dot(
+    api: viser.SceneApi, name: str, color: Rgb, size: float, visible: bool = False
+) -> viser.PointCloudHandle:
+    """A round point; `size` [scene units]."""
+    return api.add_point_cloud(
+        name,
+        points=np.zeros((1, 3), dtype=np.float32),
+        colors=np.array([color], dtype=np.uint8),
+        point_size=size,
+        point_shape="circle",
+        visible=visible,
+    )
+
+
+def ball(api: viser.SceneApi, name: str, color: Rgb) -> viser.IcosphereHandle:
+    """A hidden ball of radius 1 [scene units] without shadows."""
+    return api.add_icosphere(
+        name, radius=1.0, color=color, cast_shadow=False, receive_shadow=False, visible=False
     )
 
 

@@ -33,14 +33,7 @@ class Proxy(Part):
             position=position,
         )
         self._name = labels.add("/proxy/gizmo_name", anchor="top-right")
-        self._ball = api.add_point_cloud(
-            "/proxy/ball",
-            points=np.zeros((1, 3), dtype=np.float32),
-            colors=np.array([palette.PROXY], dtype=np.uint8),
-            point_size=0.12,
-            point_shape="circle",
-            visible=False,
-        )
+        self._ball = nodes.dot(api, "/proxy/ball", palette.PROXY, 0.12)
         self._ball_name = labels.add("/proxy/ball_name", "proxy", anchor="bottom-right")
         self._tether = nodes.lines(api, "/proxy/tether", 2.5, palette.PROXY)
         self.show_tether = True

@@ -8,6 +8,7 @@ import viser
 from app.recording.playback import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
+from app.view.drawing import nodes
 from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
@@ -23,13 +24,7 @@ class Tool(Part):
     """A dot at the tip, the tip's ball if it has a radius, and the force arrow."""
 
     def __init__(self, api: viser.SceneApi, labels: Labels) -> None:
-        self._dot = api.add_point_cloud(
-            "/tool/dot",
-            points=np.zeros((1, 3), dtype=np.float32),
-            colors=np.array([palette.TOOL], dtype=np.uint8),
-            point_size=0.02,
-            point_shape="circle",
-        )
+        self._dot = nodes.dot(api, "/tool/dot", palette.TOOL, 0.02, visible=True)
         self._ball = api.add_icosphere(
             "/tool/ball", radius=1.0, color=(60, 60, 70), cast_shadow=False, visible=False
         )

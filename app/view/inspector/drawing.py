@@ -38,14 +38,7 @@ class NearDrawing:
         self._neighbours = nodes.lines(api, "/inspector/chosen/neighbours", 2.0, palette.BLACK)
         self._foot = nodes.lines(api, "/inspector/chosen/foot", 2.5, palette.BLACK)
         self._feet = nodes.lines(api, "/inspector/chosen/feet", 1.5, (90, 90, 90))
-        self._dot = api.add_icosphere(
-            "/inspector/chosen/point",
-            radius=1.0,
-            color=palette.BLACK,
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
+        self._dot = nodes.ball(api, "/inspector/chosen/point", palette.BLACK)
         self._name = labels.add("/inspector/chosen/name", anchor="bottom-left")
         self._region = nodes.mesh(
             api, "/inspector/region", palette.SPHERE, opacity=0.45, flat_shading=True

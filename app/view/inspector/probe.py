@@ -38,14 +38,7 @@ class Probe:
             opacity=0.9,
             visible=False,
         )
-        self._ball = api.add_icosphere(
-            "/probe/ball",
-            radius=1.0,
-            color=palette.PROBE,
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
+        self._ball = nodes.ball(api, "/probe/ball", palette.PROBE)
         self._name = labels.add("/probe/name", "probe", anchor="bottom-right")
         self._fixture = FixtureDrawing(api, labels, "/probe/fixture")
         self._fixture.show_triangles = False  # the inspector draws them

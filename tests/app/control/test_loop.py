@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +20,7 @@ from app.control.engine import Orders, Plant
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Command
+from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
@@ -187,3 +189,54 @@ def test_who_waits_for_the_interpreter_leaves_cores_to_who_has_it() -> None:
             assert 2e-5 <= interval <= 2e-4
             three = 3.0 * price / interval
             assert three <= 0.75 * cores + 1e-9 or interval == 2e-4
+
+
+class Failing(Mailbox):
+    """A mailbox that the loop cannot put anything into once it is told so."""
+
+    __slots__ = ("fails",)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fails = False
+
+    def put(self, value: object) -> None:
+        if self.fails:
+            raise RuntimeError("this mailbox is broken")
+        super().put(value)
+
+
+def test_a_loop_that_ended_by_an_error_says_so_and_goes_on_where_it_was(
+    plant: Plant, scene: Scene, tmp_path: Path
+) -> None:
+    inbox, out = Mailbox(Orders(plant, Command(None, 0))), Failing()
+    loop = ControlLoop(inbox, out, plant.dt)
+    loop.start()
+    with pytest.raises(Refused, match="runs"):
+        loop.restart()
+    away = pin.SE3(scene.T_base_start.rotation, scene.T_base_start.translation + 1e-3)
+    inbox.put(Orders(plant, Command(away, 1)))
+    wait_until(lambda: out.get().tick >= 200)
+    tape = loop.record(tmp_path / "run.vfrec")
+    wait_until(lambda: tape.rows > 0)
+    out.fails = True
+    wait_until(lambda: loop.ended)
+    assert not loop.alive
+    assert "ended because the control loop ended (an error of the control loop)" in tape.outcome
+    q, tick = loop.engine.state.q, loop.engine.state.tick
+    out.fails = False
+    inbox.put(Orders(plant, Command(None, 2)))
+    loop.restart()
+    wait_until(lambda: out.get().tick > tick)
+    assert loop.alive
+    assert loop.ended == ""
+    np.testing.assert_array_equal(out.get().q, q)
+    # What was ordered meanwhile counts: here a reset.
+    out.fails = True
+    wait_until(lambda: loop.ended)
+    out.fails = False
+    inbox.put(Orders(plant, Command(None, 3), resets=1))
+    loop.restart()
+    wait_until(lambda: loop.alive and out.get().sequence == 3)
+    np.testing.assert_array_equal(out.get().q, plant.q0)
+    loop.close()

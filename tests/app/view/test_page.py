@@ -1,12 +1,10 @@
-"""Parts of the page without a browser: keys, names, cameras, signals, trail, colours."""
+"""The page and its parts without a browser: nudges, help, names, colours, replay."""
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import re
 import threading
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,27 +13,21 @@ from unittest.mock import MagicMock
 import numpy as np
 import pinocchio as pin
 import pytest
-import trimesh
 
 import vf
-from app.control.messages import LoopStats, Telemetry
 from app.recording.playback import Moment
 from app.refused import Refused
 from app.scene import worker
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, camera, palette
+from app.view import Page, palette
 from app.view.clients import client_names
 from app.view.clients.client_input import ClientInput
 from app.view.controls import help, keys
-from app.view.drawing import trail
 from app.view.part import Clients, Part
-from app.view.tabs import recorder, signals
-from app.view.tabs.depth import signed_distance
-from app.view.units import VIEW_SCALE
+from app.view.tabs import recorder
 from tests.support.headless import wait_until
-from tests.support.runs import run_headless
 
 
 def looking(eye: list[float], at: list[float]) -> np.ndarray:
@@ -87,200 +79,6 @@ def test_the_line_of_a_client_names_who_drags() -> None:
     assert len({client_names.color(i) for i in range(6)}) == 6
 
 
-def test_signed_distance_is_negative_inside_only() -> None:
-    solid = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
-    surface = vf.Surface.from_arrays(solid.vertices, solid.faces)
-    assert signed_distance(surface, [0.0, 0.0, 0.012]) == pytest.approx(0.002, abs=1e-4)
-    assert signed_distance(surface, [0.0, 0.0, 0.007]) == pytest.approx(-0.003, abs=2e-4)
-    sheet = vf.Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-    assert signed_distance(sheet, [0.1, 0.1, -0.2]) == pytest.approx(0.2)
-
-
-@pytest.fixture(scope="module")
-def telemetry() -> list[Telemetry]:
-    """The point pushed without a fixture from above a sphere into it."""
-    options = Options(mesh="sphere", robot="point", rule="off")
-    start = run_headless(options, [], 1)[0].step.tip
-    from app.control.messages import Command
-
-    goal = pin.SE3(start.rotation, start.translation - np.array([0.0, 0.0, 0.02]))
-    return run_headless(options, [Command(goal, 1)], 150)
-
-
-@pytest.fixture(scope="module")
-def surface() -> vf.Surface:
-    from app.scene import scene
-
-    return scene.build(Options(mesh="sphere", robot="point"), 1).surface
-
-
-def test_a_sample_has_the_ticks_values_in_the_plots_units(
-    telemetry: list[Telemetry], surface: vf.Surface
-) -> None:
-    assert signals.sample(replace(telemetry[0], step=None), surface) is None
-    last = replace(telemetry[-1], stats=LoopStats(tick_median=40e-6, tick_worst=90e-6))
-    values = signals.sample(last, surface)
-    assert values is not None
-    p = last.step.tip.translation
-    true = trimesh.proximity.signed_distance(
-        trimesh.Trimesh(surface.vertices * 1e3, surface.faces, process=False), [p * 1e3]
-    )[0]
-    assert true > 1.0, "trimesh counts the inside as positive; the tool must have gone in"
-    assert values[0] == pytest.approx(-true, abs=1e-6)
-    assert values[1] == pytest.approx(1e3 * np.linalg.norm(last.target.translation - p))
-    assert values[2] == pytest.approx(np.linalg.norm(last.step.force))
-    assert (values[3:6] == 0.0).all()
-    assert values[6:] == pytest.approx([40.0, 90.0])
-    assert len(values) == signals.CURVES
-
-
-def test_an_earlier_time_clears_the_history() -> None:
-    history = signals.History()
-    for time in (1.0, 1.1, 1.2, 0.5):
-        history.add(time, np.full(signals.CURVES, time))
-    times, values = history.shown()
-    assert times.tolist() == [0.0]
-    assert (values == 0.5).all()
-
-
-def test_plots_are_sampled_while_off_and_drawn_when_switched_on(
-    telemetry: list[Telemetry],
-) -> None:
-    from app.scene import scene
-
-    options = Options(mesh="sphere", robot="point")
-    sphere = scene.build(options, 1, warm=False)
-    context: Any = MagicMock()
-    context.source.live = True
-    tab = signals.Signals(context)
-    tab.set_scene(sphere)
-    tab._on.value = False
-
-    def frame(shot: Telemetry) -> None:
-        tab.frame(Moment(sphere, options, shot, clutched=False), {})
-
-    for shot in telemetry:
-        frame(shot)
-    times, _ = tab._history.shown()
-    assert len(times) == 2, "150 ms at a sample each 100 ms"
-    plots = [SimpleNamespace(data=None) for _ in signals.PLOTS]
-    tab._plots = plots
-    frame(telemetry[-1])
-    assert plots[0].data is None, "switched off, nothing is sent"
-    tab._on.value = True
-    switched = tab._on.on_update.call_args.args[0]
-    asyncio.run(switched(None))
-    frame(telemetry[-1])  # of a paused loop: no new tick
-    assert all(len(plot.data[0]) == 2 for plot in plots), "drawn at once, with the earlier samples"
-    context.source.live = False  # a replay begins
-    frame(telemetry[0])
-    assert len(tab._history.shown()[0]) == 1
-
-
-def test_plots_of_several_curves_have_a_legend() -> None:
-    stage: Any = MagicMock()
-    signals.Signals(stage)
-    added = stage.server.gui.add_uplot.call_args_list
-    assert len(added) == len(signals.PLOTS)
-    for call, plot in zip(added, signals.PLOTS, strict=True):
-        assert call.kwargs["legend"]["show"] == (len(plot.curves) > 1)
-        assert [s["label"] for s in call.kwargs["series"][1:]] == [c.name for c in plot.curves]
-
-
-def test_the_plots_scroll_over_the_last_twenty_seconds() -> None:
-    history = signals.History()
-    times, values = history.shown()
-    assert len(times) == 1
-    assert (values == 0.0).all()
-    for k in range(3 * signals.LENGTH):
-        history.add(k * signals.PERIOD, np.full(signals.CURVES, float(k)))
-    times, values = history.shown()
-    assert times[-1] == 0.0
-    assert -signals.SPAN <= times[0] < -0.95 * signals.SPAN
-    assert (np.diff(times) > 0.0).all()
-    assert values[-1, 0] == 3 * signals.LENGTH - 1
-    history.add(3 * signals.LENGTH * signals.PERIOD + 15.0, np.zeros(signals.CURVES))
-    times, _ = history.shown()
-    assert times[0] >= -signals.SPAN, "a gap in time counts for the span"
-    history.clear()
-    assert len(history.shown()[0]) == 1
-
-
-def test_the_trail_is_bounded_skips_jumps_and_keeps_the_newest() -> None:
-    path = trail.Path()
-    for k in range(2 * trail.LENGTH):
-        path.add(np.array([k * 1e-3, 0.0, 0.0]), -k * 1e-6)
-    assert path.count == trail.LENGTH
-    assert path.segments[-1, 1, 0] == pytest.approx((2 * trail.LENGTH - 1) * 1e-3)
-    np.testing.assert_allclose(path.segments[1:, 0], path.segments[:-1, 1])
-    last = path.segments[-1, 1].copy()
-    ahead = np.array([1.0, 0.0, 0.0])
-    assert not path.add(last + 0.1 * trail.MIN_STEP * ahead, 0.0), "less than the shortest segment"
-    assert not path.add(last + 2.0 * trail.MAX_STEP * ahead, 0.0), "a reset"
-    assert path.add(last + (2.0 * trail.MAX_STEP + 1e-3) * ahead, 0.0)
-    assert np.linalg.norm(np.diff(path.segments[-1], axis=0)) == pytest.approx(1e-3)
-    path.break_line()
-    assert not path.add(last, 0.0)
-    path.clear()
-    assert path.count == 0
-
-
-def test_the_trail_is_darker_with_depth_and_has_another_colour_outside() -> None:
-    depths = np.linspace(0.0, 2.0 * trail.MAX_DEPTH, 9)
-    shades = trail.colors(-depths[1:]).astype(float)
-    lightness = shades @ [0.2126, 0.7152, 0.0722]
-    assert (np.diff(lightness[:4]) < -10.0).all()
-    assert (np.diff(lightness[4:]) == 0.0).all(), "no darker than the darkest"
-    outside = trail.colors(np.array([0.0, 1e-3]))
-    assert (outside == palette.SKY).all()
-
-
-class Camera(SimpleNamespace):
-    """The attributes of viser's camera that `Following` and `move` use."""
-
-
-def client_at(eye: list[float], at: list[float]) -> Any:
-    from contextlib import nullcontext
-
-    return SimpleNamespace(
-        camera=Camera(position=np.array(eye), look_at=np.array(at)), atomic=nullcontext
-    )
-
-
-def test_a_following_camera_keeps_the_tool_centred_at_its_distance() -> None:
-    following = camera.Following()
-    client = client_at([0.0, -10.0, 5.0], [0.0, 0.0, 0.0])
-    following.start(7, np.zeros(3))
-    following.update({7: client}, np.array([1e-6, 0.0, 0.0]))
-    assert (client.camera.look_at == 0.0).all(), "less than a pixel"
-    tip = np.array([0.01, 0.02, -0.005])
-    following.update({7: client}, tip)
-    np.testing.assert_allclose(client.camera.look_at, VIEW_SCALE * tip)
-    away = client.camera.position - client.camera.look_at
-    np.testing.assert_allclose(away, [0.0, -10.0, 5.0])
-    # A stale position reported by the client causes no drift.
-    client.camera.position, client.camera.look_at = np.array([0.0, -10.0, 5.0]), np.zeros(3)
-    following.update({7: client}, 2.0 * tip)
-    np.testing.assert_allclose(client.camera.look_at, 2.0 * VIEW_SCALE * tip)
-    following.stop(7)
-    following.update({7: client}, np.zeros(3))
-    np.testing.assert_allclose(client.camera.look_at, 2.0 * VIEW_SCALE * tip)
-    following.start(8, np.zeros(3))
-    following.update({}, np.ones(3))
-    assert following.clients == (), "a disconnected client is forgotten"
-
-
-def test_the_surgeon_looks_down_along_the_instrument(telemetry: list[Telemetry]) -> None:
-    step = telemetry[-1].step
-    for R in (pin.rpy.rpyToMatrix(np.pi, 0.0, 0.0), pin.rpy.rpyToMatrix(0.6 + np.pi, 0.3, 0.0)):
-        view = camera.surgeon_view(replace(step, tip=pin.SE3(R, np.array([0.1, 0.0, 0.2]))))
-        forward = (view.look_at - view.eye) / np.linalg.norm(view.look_at - view.eye)
-        angle = np.rad2deg(np.arccos(forward @ R[:, 2]))
-        assert 25.0 < angle < 45.0
-        assert view.eye[2] > view.look_at[2]
-        np.testing.assert_allclose(view.look_at, [0.1, 0.0, 0.2])
-
-
 # Linear RGB with a colour blindness: Machado, Oliveira, Fernandes 2009, severity 1.
 BLINDNESS = {
     "none": np.eye(3),
@@ -320,6 +118,13 @@ def test_the_colours_of_the_rules_are_distinct(kind: str) -> None:
             seen(palette.LOOKS[a].color, kind) - seen(palette.LOOKS[b].color, kind)
         )
         assert apart > 10.0, f"{a.name} and {b.name}: {apart:.1f}"  # 2.3 is just noticeable
+
+
+def test_every_rule_status_and_outcome_of_the_solver_has_its_words() -> None:
+    assert set(palette.RULE_HELP) == set(vf.RULES)
+    assert set(palette.LOOKS) == set(vf.Rule)
+    assert set(palette.STATUS_HELP) == set(vf.Status)
+    assert set(palette.SOLVER_HELP) == set(vf.Solver)
 
 
 def test_the_page_calls_every_part() -> None:

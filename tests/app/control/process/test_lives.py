@@ -16,9 +16,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.control import process as processes
-from app.control import shared
-from app.control.child import HOLD_ALONE
+from app.control.process import handle, shared
+from app.control.process.child import HOLD_ALONE
 from app.recording import rerun
 from app.recording.read import read
 from app.refused import Refused
@@ -28,7 +27,7 @@ from tests.support.controls import controls_of, gone
 from tests.support.headless import moved, wait_until
 
 CUBE = Options(mesh="cube", robot="point")
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture(autouse=True)
@@ -192,7 +191,7 @@ def test_a_control_process_that_ends_is_told_and_goes_on_where_it_was(
 
 
 def test_a_process_that_cannot_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes.sys, "executable", "/bin/false")
+    monkeypatch.setattr(handle.sys, "executable", "/bin/false")
     session = Session(CUBE, process=True)
     with pytest.raises(Refused, match="could not be started: exit code 1"):
         session.start()
@@ -213,7 +212,7 @@ def test_a_session_that_never_starts_leaves_no_process() -> None:
 def test_a_stuck_reader_loses_ticks_but_not_the_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(processes, "ROOM", 1 << 16)
+    monkeypatch.setattr(handle, "ROOM", 1 << 16)
     with Session(CUBE, process=True) as session:
         wait_until(lambda: session.latest().tick > 20)
         tape = session.record(tmp_path / "run.vfrec")

@@ -13,7 +13,7 @@ import numpy as np
 
 import vf
 from app.control.plant import Description
-from app.control.shared import Memory
+from app.control.process.shared import Memory
 
 _ALIGNED = 64  # [byte]
 _POPULATE_READ = 22  # of madvise, Linux 5.14

@@ -24,21 +24,22 @@ from typing import Any
 
 import robots
 import vf
-from app.control import surfaces, wire
-from app.control.channel import Channel
+from app.control.clock import Timing
 from app.control.engine import Orders, Plant, State
-from app.control.gaps import Gaps
-from app.control.loop import BUILD_PRIORITY, ControlLoop, raise_process_priority
-from app.control.loop import raise_thread_priority as raise_priority
+from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Command, Telemetry
 from app.control.plant import assemble
-from app.control.shared import Memory, Queue, Slot
+from app.control.priority import BUILD_PRIORITY, raise_process_priority, raise_thread_priority
+from app.control.process import surfaces, wire
+from app.control.process.channel import Channel
+from app.control.process.gaps import Gaps
+from app.control.process.shared import Memory, Queue, Slot
 
 log = logging.getLogger("vf-sandbox control")
 
 HOLD_ALONE = 5.0  # how long the simulated arm is held when nobody is left to give orders [s]
-PERIOD = 0.05  # between two looks at the loop [s]
+PERIOD = 0.2  # between two looks at the loop; each may keep a tick waiting for microseconds [s]
 
 
 class Inbox(Mailbox[Orders]):
@@ -155,7 +156,7 @@ class Child:
             del plants[number]
 
     def _start(self, dt: float, state: State | None) -> None:
-        timing = wire.Timing()
+        timing = Timing()
 
         def told(_orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
             queue.put(teller.message(inbox.number, telemetry, ticked))
@@ -193,7 +194,7 @@ def _main(channel: int, memory: int) -> int:
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     raise_process_priority()
-    raise_priority(BUILD_PRIORITY)
+    raise_thread_priority(BUILD_PRIORITY)
     child = Child(Channel(socket.socket(fileno=channel)), Memory(memory, write=True))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the page's process says when to end
     signal.signal(signal.SIGTERM, child.stop)
@@ -204,7 +205,7 @@ def _main(channel: int, memory: int) -> int:
 
 
 if __name__ == "__main__":
-    # Imported, so that pickled classes belong to `app.control.child`, not to `__main__`.
-    from app.control.child import _main as _named
+    # Imported, so that pickled classes belong to `app.control.process.child`, not to `__main__`.
+    from app.control.process.child import _main as _named
 
     sys.exit(_named(int(sys.argv[1]), int(sys.argv[2])))

@@ -9,10 +9,11 @@ import pinocchio as pin
 import pytest
 
 import vf
-from app.control import surfaces, wire
+from app.control.clock import TICKED, Timing
 from app.control.engine import Engine, Orders, Plant
 from app.control.messages import Command, LoopStats, Telemetry
 from app.control.plant import assemble, describe
+from app.control.process import surfaces, wire
 from app.recording.format import ROWS
 from app.recording.rows import fill
 from app.scene import scene as scenes
@@ -97,14 +98,14 @@ def test_ticks_come_as_they_were_to_the_last_bit(plant: Plant, refusing: bool) -
         (replace(still, command=Command(pin.SE3(np.eye(3), np.full(3, np.nan)), 4)), 3),
     ]
     engine = Engine(still)
-    timing = wire.Timing()
-    teller = wire.Teller(engine, timing)
+    timing = Timing()
+    teller, listener = wire.Teller(engine, timing), wire.Listener(plant.dt)
     before, known = None, None
     pressing = 0
     for number, (orders, ticks) in enumerate(script):
         for _ in range(ticks):
             telemetry, ticked = engine.advance(orders, STATS)
-            told = wire.unpack(teller.message(number, telemetry, ticked), STATS, plant.dt, known)
+            told = listener.told(teller.message(number, telemetry, ticked), STATS, known)
             assert (told.order, told.ticked) == (number, ticked)
             assert row(told.telemetry, told.ticked, known) == row(telemetry, ticked, before)
             assert same_pose(told.telemetry.origin, telemetry.origin)
@@ -120,7 +121,7 @@ def test_ticks_come_as_they_were_to_the_last_bit(plant: Plant, refusing: bool) -
             before, known = telemetry.step, told.telemetry.step
             pressing += bool(known is not None and (known.multipliers > 1e-9).any())
             timing.record(vf.Status.HELD, 1.0, 2.0, 3.0, True)
-    assert told.timing == (wire.TICKED, int(vf.Status.HELD), True, 1.0, 2.0, 3.0)
+    assert told.timing == (TICKED, int(vf.Status.HELD), True, 1.0, 2.0, 3.0)
     assert pressing > 100
 
 

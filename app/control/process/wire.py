@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 import vf
+from app.control.clock import Timing
 from app.control.engine import Engine, Orders, Plant, State
 from app.control.messages import Command, LoopStats, Telemetry
 
@@ -25,7 +26,6 @@ _ORDERS = struct.Struct("<QQ6?qqqdd12d")
 _TICK = struct.Struct("<Q8?qqqqqqQdQBB?5xddd")
 _POSE = 96  # of a pose (3, 4) [byte]
 _NO_POSE = bytes(_POSE)
-NONE, TICKED, SKIPPED = 0, 1, 2  # what a period was
 
 
 def pack_orders(number: int, plant: int, orders: Orders) -> bytes:
@@ -74,24 +74,6 @@ def unpack_orders(message: bytes, plant: Plant) -> Orders:
         scale=scale,
         lock_orientation=lock,
     )
-
-
-class Timing:
-    """What the loop says of a period, kept until the next message. See `clock.Clock`."""
-
-    def __init__(self) -> None:
-        self.stats = LoopStats()
-        self.last: tuple[int, int, bool, float, float, float] = (NONE, 0, False, 0.0, 0.0, 0.0)
-
-    def record(
-        self, status: vf.Status, started: float, late: float, spent: float, overrun: bool
-    ) -> None:
-        """Note one tick."""
-        self.last = TICKED, int(status), overrun, started, late, spent
-
-    def skip(self, started: float) -> None:
-        """Note a period without a tick."""
-        self.last = SKIPPED, 0, False, started, 0.0, 0.0
 
 
 class Teller:
@@ -170,53 +152,58 @@ class Told:
         )
 
 
-def unpack(message: bytes, stats: LoopStats, dt: float, before: vf.Step | None) -> Told:
-    """What a message tells of a tick.
+class Listener:
+    """Reads the messages of a `Teller`, one after the other or some of them."""
 
-    Args:
-        stats: becomes part of the telemetry.
-        dt: length of a tick [s].
-        before: the step of the message before, which this one may repeat; None: not known.
-    """
-    (
-        order, ticked, stepped, repeated, driven, came, paused, autopilot, stale, tick, scene,
-        sequence, steps, silent, since, joints, began, n, *timing,
-    ) = _TICK.unpack_from(message)  # fmt: skip
-    at = _TICK.size + 2 * _POSE
-    end = at + 8 * joints
-    step = before if repeated else None
-    if stepped and step is None:
-        step = vf.Step.unpacked(message[end:], n, began)
-    telemetry = Telemetry(
-        tick=tick,
-        time=tick * dt,
-        q=np.frombuffer(message, np.float64, joints, at),
-        target=_pose(message, _TICK.size) if driven else None,
-        step=step,
-        stats=stats,
-        scene=scene,
-        sequence=sequence,
-        paused=paused,
-        autopilot=autopilot,
-        stale=stale,
-        origin=_pose(message, _TICK.size + _POSE) if came else None,
-    )
-    what, status, overrun, started, late, spent = timing
-    return Told(
-        order=order,
-        ticked=ticked,
-        telemetry=telemetry,
-        timing=(what, status, overrun, started, late, spent),
-        steps=steps,
-        silent=silent,
-        autopilot_since=None if since < 0 else since,
-    )
+    def __init__(self, dt: float) -> None:
+        """`dt`: length of a tick [s]."""
+        self._dt = dt
+        # The last poses: a tool at rest gives the same ones again and again.
+        self._target: tuple[bytes, pin.SE3] = (b"", pin.SE3.Identity())
+        self._origin = self._target
+
+    def told(self, message: bytes, stats: LoopStats, before: vf.Step | None) -> Told:
+        """What a message tells of a tick.
+
+        Args:
+            stats: becomes part of the telemetry.
+            before: the step of the message before, which this one may repeat; None: not known.
+        """
+        (
+            order, ticked, stepped, repeated, driven, came, paused, autopilot, stale, tick, scene,
+            sequence, steps, silent, since, joints, began, n, what, status, overrun, started, late,
+            spent,
+        ) = _TICK.unpack_from(message)  # fmt: skip
+        at = _TICK.size
+        target = origin = None
+        if driven:
+            self._target = _same_or_new(self._target, message[at : at + _POSE])
+            target = self._target[1]
+        if came:
+            self._origin = _same_or_new(self._origin, message[at + _POSE : at + 2 * _POSE])
+            origin = self._origin[1]
+        at += 2 * _POSE
+        end = at + 8 * joints
+        step = before if repeated else None
+        if stepped and step is None:
+            step = vf.Step.unpacked(message[end:], n, began)
+        telemetry = Telemetry(
+            tick, tick * self._dt, np.frombuffer(message, np.float64, joints, at), target, step,
+            stats, scene, sequence, paused, autopilot, stale, origin,
+        )  # fmt: skip
+        return Told(
+            order, ticked, telemetry, (what, status, overrun, started, late, spent), steps, silent,
+            None if since < 0 else since,
+        )  # fmt: skip
+
+
+def _same_or_new(last: tuple[bytes, pin.SE3], part: bytes) -> tuple[bytes, pin.SE3]:
+    """A pose with its bytes: the last one, if it has these bytes."""
+    if part == last[0]:
+        return last
+    T = np.frombuffer(part, np.float64).reshape(3, 4)
+    return part, pin.SE3(T[:, :3], T[:, 3])
 
 
 def _packed(pose: pin.SE3 | None) -> bytes:
     return _NO_POSE if pose is None else pose.homogeneous[:3].tobytes()
-
-
-def _pose(message: bytes, at: int) -> pin.SE3:
-    T = np.frombuffer(message, np.float64, 12, at).reshape(3, 4)
-    return pin.SE3(T[:, :3], T[:, 3])

@@ -10,115 +10,29 @@ from __future__ import annotations
 import contextlib
 import logging
 import select
-import signal
-import subprocess
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import vf
-from app.control import surfaces, wire
-from app.control.channel import Channel
-from app.control.clock import Clock
+from app.control.clock import SKIPPED, TICKED, Clock
 from app.control.engine import Orders, Plant, State
 from app.control.host import Host
 from app.control.mailbox import Mailbox
 from app.control.messages import LoopStats, Telemetry
 from app.control.plant import describe
-from app.control.shared import ROOM, Memory, Queue, Slot
+from app.control.priority import VIEW_PRIORITY, raise_thread_priority
+from app.control.process import surfaces, wire
+from app.control.process.handle import PATIENCE, Child
+from app.control.process.shared import Queue, Slot
 from app.recording.capture import Tape
 from app.refused import Refused
 
 log = logging.getLogger(__name__)
 
 PERIOD = 0.01  # between two looks at the ticks [s]
-PATIENCE = 10.0  # for an answer of the control process [s]
 START = 120.0  # for its first tick: it may have to compile the kernels [s]
-
-
-class Child:
-    """A control process: started, talked to, ended."""
-
-    def __init__(self, before: Child | None = None) -> None:
-        """Start it; it loads its libraries meanwhile.
-
-        Args:
-            before: the process that ended, whose shared memory this one goes on with.
-
-        Raises:
-            OSError: it cannot be started.
-        """
-        size = Slot.SIZE + Queue.HEAD + ROOM
-        self.memory: Memory = Memory.create(size) if before is None else before.memory
-        memory = self.memory
-        # The surface of the newest plant, with the shared memory that has its arrays.
-        self.shared: tuple[vf.Surface, surfaces.Shared] | None = None
-        if before is not None:
-            self.shared = before.shared
-        self.channel, theirs = Channel.pair()
-        try:
-            # Outside the terminal's process group: Ctrl-C goes to the page's process alone.
-            self.process = subprocess.Popen(
-                [
-                    sys.executable, "-m", "app.control.child",
-                    str(theirs.fileno()), str(memory.fd),
-                ],
-                stdin=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(), memory.fd),
-                start_new_session=True,
-            )  # fmt: skip
-        except BaseException:
-            self.channel.close()
-            raise
-        finally:
-            theirs.close()
-        self.ending = ""  # why it is about to end
-        self.thread: int | None = None  # number of its control thread
-        self.has: surfaces.Shared | None = None  # the surface it was given last
-        self.built = 0  # number of the newest plant it has
-        self.failed: dict[int, str] = {}  # why plants could not be built, by number
-
-    def warm_up(self) -> None:
-        """Have it load the kernels; call this once they are compiled."""
-        with contextlib.suppress(OSError):
-            self.channel.send("warm")
-
-    def share(self, surface: vf.Surface) -> surfaces.Shared:
-        """The surface in shared memory, which it uses itself from then on.
-
-        Raises:
-            OSError: there is no memory for it.
-        """
-        if self.shared is None or self.shared[0] is not surface:
-            before, self.shared = self.shared, (surface, surfaces.share(surface))
-            if before is not None:
-                before[1].memory.forget()
-        return self.shared[1]
-
-    def leave(self) -> None:
-        """End it for good, and close what there is of shared memory."""
-        self.end()
-        self.channel.close()
-        self.memory.forget()
-        if self.shared is not None:
-            self.shared[1].memory.forget()
-
-    def end(self) -> str:
-        """Have it end, by force if it does not; returns why it ended if nobody told it to."""
-        if self.thread is None:
-            self.process.kill()  # it holds nothing yet
-        with contextlib.suppress(OSError):
-            self.channel.send("close")
-        try:
-            code = self.process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            code = self.process.wait()
-        if self.ending:
-            return self.ending
-        return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
 class _Inbox(Mailbox[Orders]):
@@ -193,6 +107,7 @@ class ControlProcess(Host):
         self._slot = Slot(child.memory.data[: Slot.SIZE])
         self._queue = Queue(child.memory.data[Slot.SIZE :])
         self._dt = dt
+        self._listener = wire.Listener(dt)
         self._watch, self._missed = watch, missed
         self.clock = Clock(dt)
         self._changed = threading.Condition()  # something came from the process
@@ -206,10 +121,10 @@ class ControlProcess(Host):
         self._number = 0  # of the newest orders
         self._plants = 0  # how many plants there were
         self._plant: Plant | None = None  # the newest
-        # What was read last: number of the message, its orders, the engine's state.
+        # What was read last: number of the message, its orders, what has the engine's state.
         self._taken = 0
         self._seen = orders
-        self._state = State(
+        self._last: wire.Told | State = State(
             q=orders.plant.q0, tick=0, steps=orders.steps, silent=0, autopilot_since=None,
             target=None, stale=False,
         )  # fmt: skip
@@ -259,7 +174,8 @@ class ControlProcess(Host):
         self._thread.join()
         orders = self.orders.get()
         assert orders is not None
-        self._state, self._seen = self._continued(self._state, self._seen), orders
+        state = self._last = self._continued(self._state, self._seen)
+        self._seen = orders
         try:
             self._child = Child(self._child)
         except OSError as error:
@@ -267,7 +183,7 @@ class ControlProcess(Host):
         self.ended = ""
         self._hand_over(self._plants, orders.plant)
         self._thread = threading.Thread(target=self._run, name="control link", daemon=True)
-        self._begin(self._state)
+        self._begin(state)
 
     def stop_recording(self) -> Tape:
         self._drain()  # the ticks up to now
@@ -336,10 +252,13 @@ class ControlProcess(Host):
         found = self._queue.newest()
         if found is None or found[0] == number:
             return None
-        return found[0], wire.unpack(found[1], self.clock.stats, self._dt, None).telemetry
+        told = wire.Listener(self._dt).told(found[1], self.clock.stats, None)
+        return found[0], told.telemetry
 
     def _run(self) -> None:
         """Read messages and ticks until the process ends."""
+        # As those of the page's threads that wait for the interpreter lock when this one has it.
+        raise_thread_priority(VIEW_PRIORITY)
         channel = self._child.channel
         while True:
             ready, _, _ = select.select([channel], [], [], PERIOD)
@@ -385,8 +304,8 @@ class ControlProcess(Host):
         with self._reading:
             for number, message in self._queue.take():
                 lost = number - self._taken - 1
-                before = self._state.step if lost == 0 else None
-                told = wire.unpack(message, self.clock.stats, self._dt, before)
+                before = self._step if lost == 0 else None
+                told = self._listener.told(message, self.clock.stats, before)
                 self._taken = number
                 tape = self._tape
                 if lost > 0:
@@ -394,9 +313,9 @@ class ControlProcess(Host):
                     if tape is not None:
                         tape.lose()
                 what, status, overrun, started, late, spent = told.timing
-                if what == wire.TICKED:
+                if what == TICKED:
                     self.clock.record(vf.Status(status), started, late, spent, overrun)
-                elif what == wire.SKIPPED:
+                elif what == SKIPPED:
                     self.clock.skip(started)
                 orders = self._orders_of(told.order)
                 if tape is not None:
@@ -404,7 +323,19 @@ class ControlProcess(Host):
                         tape.begin(self._seen, self._state)
                     tape.take(orders, told.telemetry, told.ticked)
                 self._watch(orders, told.telemetry, told.ticked)
-                self._seen, self._state = orders, told.state
+                self._seen, self._last = orders, told
+
+    @property
+    def _state(self) -> State:
+        """The engine's state after what was read last."""
+        last = self._last
+        return last if isinstance(last, State) else last.state
+
+    @property
+    def _step(self) -> vf.Step | None:
+        """The step of what was read last."""
+        last = self._last
+        return last.step if isinstance(last, State) else last.telemetry.step
 
     def _orders_of(self, number: int) -> Orders:
         """The orders of this number; earlier ones are forgotten."""

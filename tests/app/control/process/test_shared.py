@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from app.control import shared
-from app.control.shared import Memory, Queue, Slot
+from app.control.process import shared
+from app.control.process.shared import Memory, Queue, Slot
 
 
 def queue(room: int) -> tuple[Queue, Queue, Memory]:
