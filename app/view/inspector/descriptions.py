@@ -184,6 +184,28 @@ def nearest(inspection: Inspection, chosen: int) -> str:
     return f"<div style='{_BOX}'>{table}{''.join(lines)}</table>{note}{_counts(inspection)}</div>"
 
 
+def parts(inspection: Inspection) -> str:
+    """Which parts of the instrument have planes, and what holds each; only the tip: empty."""
+    subject, planes, pushes = inspection.subject, inspection.planes, inspection.multipliers
+    if subject.step is None or not subject.options.guards_tool or planes.capsules is None:
+        return ""
+    capsules = subject.scene.arm.capsules
+    lines = []
+    for k, capsule in enumerate(capsules) if len(capsules) > 1 else ():
+        mine = np.flatnonzero(planes.capsules == k)
+        text = "no plane near"
+        if len(mine):
+            text = f"{len(mine)} plane{'s' if len(mine) > 1 else ''}"
+            push = float(pushes[mine].sum())
+            most = int(planes.triangles[mine[pushes[mine].argmax()]])
+            if push > MIN_PUSH:
+                text = f"held back by {push * 1e3:.3f} mm, {text}"
+                text += f", most by {subject.name(most)}" if most >= 0 else ""
+        lines.append(_row(capsule.name, text))
+    table = f"<table style='width:100%;border-collapse:collapse'>{''.join(lines)}</table>"
+    return f"<div class='vf-parts' style='{_BOX};font-size:11.5px'>{table}</div>" if lines else ""
+
+
 def comparison(compared: Forecasts) -> str:
     """Table of the forecasts, one column per rule."""
     forecasts, x = compared.of, compared.x
@@ -277,8 +299,11 @@ def _plane(inspection: Inspection, report: TriangleReport) -> str:
         return f"<div class='vf-push' style='margin-top:3px'>{text}</div>"
     k = int(rows[0])
     normal = ", ".join(f"{c:+.2f}" for c in planes.normals[k])
-    slack = float(planes.slack(subject.x)[k])
-    text = f"Plane (rule {subject.rule}): n = ({normal}), {slack * 1e3:.3f} mm from here."
+    slack, of = subject.room(planes, k), ""
+    if planes.of_axis is not None and planes.of_axis[k]:
+        of = f" of the {html.escape(subject.part(planes, k))}"
+    text = f"Plane{of} (rule {subject.rule}): n = ({normal}), {slack * 1e3:.3f} mm "
+    text += "to its axis’ bound." if of else "from here."
     if subject.step is not None:
         push, share = inspection.push(under)
         if push > MIN_PUSH:

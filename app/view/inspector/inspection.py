@@ -34,6 +34,7 @@ class Subject:
         step: of the shown tick; None for a probe.
         pose: for the forecasts; None for a probe, or without a proxy.
         names: of the triangles, if they have names.
+        axes: (c, 2, 3) of the arm's capsules at the tick [m]; None for a probe.
         tick: number of the shown tick.
     """
 
@@ -47,6 +48,20 @@ class Subject:
     pose: Pose | None = None
     names: tuple[str, ...] = ()
     tick: int | None = None
+    axes: FloatArray | None = None
+
+    def part(self, planes: vf.Planes, k: int) -> str:
+        """Name of the part of the instrument that a plane holds."""
+        capsules = self.scene.arm.capsules
+        return capsules[0 if planes.capsules is None else int(planes.capsules[k])].name
+
+    def room(self, planes: vf.Planes, k: int) -> float:
+        """Room that a plane leaves to the tip, or to the axis that it holds [m]."""
+        if self.axes is None or planes.of_axis is None or not planes.of_axis[k]:
+            return float(planes.slack(self.x)[k])
+        assert planes.capsules is not None
+        ends = self.axes[int(planes.capsules[k])]
+        return float((ends @ planes.normals[k]).min() - planes.offsets[k])
 
     def name(self, triangle: int) -> str:
         """Name of a triangle."""
@@ -161,7 +176,7 @@ class Inspector:
         if request.region:
             if last is not None and same and _equal(last.planes, planes):
                 region = last.region
-            region = region or allowed_region(planes, subject.x)
+            region = region or allowed_region(planes.of_tip(), subject.x)
         forecasts, settled = None, True
         if request.comparison:
             alike = last is not None and last.subject.same_setting(subject)

@@ -132,7 +132,9 @@ class InspectorTab(Part):
             return
         chosen = self._chosen_in(inspection)
         self._report.content = descriptions.triangle(inspection, chosen)
-        self._list.content = descriptions.nearest(inspection, chosen)
+        self._list.content = descriptions.nearest(inspection, chosen) + descriptions.parts(
+            inspection
+        )
         self._solid.content = descriptions.region(inspection) if self._region else ""
         self._rules.content = (
             descriptions.comparison(inspection.forecasts)
@@ -161,7 +163,7 @@ class InspectorTab(Part):
             return Subject(
                 scene.surface, np.array(step.tip.translation), step.radius, options,
                 options.rule, scene, step, None if target is None else Pose(telemetry.q, target),
-                tick=telemetry.tick,
+                tick=telemetry.tick, axes=scene.arm.axes(step.q),
             )  # fmt: skip
         if self._case is None:
             return Subject(self._surface, self._probe_at, step.radius, options, self._rule, scene)

@@ -18,6 +18,8 @@ from app import __main__ as main
 from app import cli
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats, Telemetry
+from app.judges import boxes
+from app.judges.nearest import gaps
 from app.judges.sweep import Judge
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import course
@@ -89,7 +91,10 @@ def test_the_push_on_the_skull_ends_at_the_standoff(played: Played) -> None:
     assert truth.crossings(path) == 0
     goals = np.array([t.target.translation for t in seen])  # type: ignore[union-attr]
     assert truth.crossings(goals[::5]) > 0  # the hand itself did go into the bone
-    assert scene.surface.nearest(path[-1])[0] == pytest.approx(20e-6, abs=2e-6)
+    blade = gaps(boxes.of(scene.surface), scene.arm, seen[-1].q)[0]
+    assert blade == pytest.approx(20e-6, abs=2e-6)
+    _, alone = played("push-on-the-skull", guard="tip")
+    assert scene.surface.nearest(tips(alone)[-1])[0] == pytest.approx(20e-6, abs=2e-6)
     assert np.linalg.norm(step.force) == pytest.approx(1.4, abs=0.05)
 
 

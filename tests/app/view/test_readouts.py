@@ -95,7 +95,7 @@ def test_a_proxy_in_the_anatomy_is_held_back_and_a_higher_standoff_leads_out(
     session.drive(below(session, 1e-3))
     wait_until(lambda: says(session, "Free."))
     session.drive(into(session))
-    wait_until(lambda: says(session, "The fixture holds the tool back (1 plane)"))
+    wait_until(lambda: says(session, "The fixture holds the blade back (1 plane)"))
     wait_until(lambda: step_of(session).distance < 1e-4)
     session.pause()
     wait_until(lambda: says(session, "Paused. Run"))
