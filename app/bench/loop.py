@@ -89,7 +89,8 @@ def run(
     with ExitStack() as stack:
         path, unit, name = _mesh(options, stack, say)
         wanted = Options(
-            mesh=path, unit=unit, rate=options.rate, rule=options.rule, radius=options.radius,
+            mesh=path, unit=unit, rate=options.rate, rule=options.rule, guard=options.guard,
+            radius=options.radius,
             port=0,
         )  # fmt: skip
         began = time.perf_counter()

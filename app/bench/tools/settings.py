@@ -100,6 +100,7 @@ class Loop(Checked):
     )
     rate: float = like(Options, "rate")
     rule: str = like(Options, "rule", about="Rule of the fixture.")
+    guard: str = like(Options, "guard")
     radius: float | None = like(Options, "radius", about="Radius of the motion sphere.")
     browser: bool = option(
         Switch(), True,

@@ -188,6 +188,20 @@ def test_a_new_scene_keeps_the_tool_only_where_it_is_free(plant: Plant, scene: S
     np.testing.assert_array_equal(stuck.q, plant.q0)
 
 
+@pytest.mark.parametrize("guard", ["tip", "tool"])
+def test_a_guarded_tool_with_its_shaft_in_a_new_scene_goes_to_its_start(guard: str) -> None:
+    below = Options(mesh="sphere", at=(0.0, 0.0, -0.25), guard=guard)
+    across = replace(below, at=(0.0, 0.0, -0.06))  # of radius 3 cm, above the tip
+    first, second = scenes.build(below, 1), scenes.build(across, 2)
+    orders = Orders(scenes.plant(first, below), Command(None, 0))
+    engine = Engine(orders)
+    engine.advance(orders, STATS)
+    told, _ = engine.advance(Orders(scenes.plant(second, across), Command(None, 1)), STATS)
+    assert told.step is not None
+    np.testing.assert_array_equal(told.q, second.start if guard == "tool" else first.start)
+    assert (second.start != first.start).any() == (guard == "tool")
+
+
 def test_arrays_that_leave_the_engine_are_read_only(plant: Plant, scene: Scene) -> None:
     for target in (None, moved(scene.T_base_start, dz=-0.03)):
         orders = Orders(plant, Command(target, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import trimesh
 
@@ -55,6 +56,35 @@ def test_a_tool_at_an_open_sheet_is_moved_off_it() -> None:
     surface = around_the_tip(arm, sheet)
     tip = arm.tip(free_start(arm, surface, 1e-3)).translation
     assert abs(tip[2] - arm.tip(arm.neutral).translation[2]) > 1e-3
+
+
+def test_a_guarded_tool_starts_with_all_of_it_clear() -> None:
+    arm = robots.load("psm")
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
+    ball.apply_translation([0.0, 0.0, 0.06])
+    surface = around_the_tip(arm, ball)  # in its shaft
+    np.testing.assert_array_equal(free_start(arm, surface, 2e-5), arm.neutral)
+    options = Options(standoff=1e-4)
+    for alone in (Options(guard="tip"), Options(rule="paper")):
+        np.testing.assert_array_equal(free_start(arm, surface, 2e-5, alone), arm.neutral)
+    q = free_start(arm, surface, 2e-5, options)
+    for capsule, (a, b) in zip(arm.capsules, arm.axes(q), strict=True):
+        along = np.clip((surface.vertices - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        away = np.linalg.norm(surface.vertices - a - along[:, None] * (b - a), axis=1)
+        assert away.min() - capsule.radius > 1e-4
+
+
+def test_a_tool_that_no_start_makes_clear_starts_with_a_note_unless_it_has_a_port() -> None:
+    across = Options(mesh="sphere", at=(0.0, 0.0, 0.0))  # around the remote centre
+    for options, noted in ((across, True), (replace(across, trocar=0.05), False)):
+        scene = scenes.build(options, 1)
+        np.testing.assert_array_equal(scene.start, scene.arm.neutral)
+        assert any("No start was found" in note for note in scene.notes) == noted
+        q = scene.start
+        step = scenes.plant(scene, options).controller.step(
+            q, scene.arm.tip(q) * pin.SE3(np.eye(3), np.array([0.0, 0.0, 1e-4]))
+        )
+        assert (step.status is vf.Status.HELD) == noted
 
 
 def test_a_mesh_that_fills_the_workspace_is_refused() -> None:
