@@ -1,4 +1,8 @@
-"""Which boxes and triangles are wholly behind one of the planes chosen so far."""
+"""Which boxes and triangles are wholly behind one of the planes chosen so far.
+
+`forceinline` marks the two tests of the walk that LLVM does not inline by itself: a call passes
+every field of every array on the stack, which took an eighth of the walk.
+"""
 
 from __future__ import annotations
 
