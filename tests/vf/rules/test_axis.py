@@ -207,7 +207,7 @@ def test_a_capsule_that_overlaps_gets_no_deeper() -> None:
 def test_more_rims_than_the_budget_shrink_the_radius_and_still_do_not_leak() -> None:
     """Points on a helix around the axis: none is behind the plane of another."""
     k = np.arange(400)
-    angle, rim = 2.4 * k, 2.1e-3 * (1.0 + 1e-6 * (k % 97))
+    angle, rim = 2.4 * k, 2.0005e-3 * (1.0 + 1e-8 * (k % 97))
     points = np.column_stack([rim * np.cos(angle), rim * np.sin(angle), 2.5e-4 * k])
     surface = vf.Surface.from_arrays(points, k[:, None].repeat(3, axis=1))
     ends = np.array([[0.0, 0.0, -0.01], [0.0, 0.0, 0.11]])
