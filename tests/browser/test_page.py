@@ -137,7 +137,7 @@ def test_dragging_the_gizmo_into_the_skull_stops_the_tool_at_the_bone(
     assert not crossed(mesh, np.array(track.tips[:: max(1, len(track.tips) // 200)]))
     wait_until(lambda: float(visitor.readout("simulated force")) > 0.1, "the force")
     wait_until(lambda: int(visitor.readout("active planes")) > 0, "the planes")
-    visitor.tab.get_by_text("The fixture holds the tool back").wait_for()
+    visitor.tab.get_by_text("The fixture holds the blade back").wait_for()
 
 
 def test_recall_puts_the_proxy_back_onto_the_tool(

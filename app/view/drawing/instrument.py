@@ -21,6 +21,7 @@ SEGMENTS = 20  # of a capsule's circumference
 MIN_CHANGE = 2e-5  # a capsule whose axis is longer or shorter by less is not made anew [m]
 MAX_PARTS = 8
 OPACITY = 0.45
+LIFT = 3e-4  # capsules are drawn larger by this: their surface is that of the arm's drawing [m]
 
 
 class Instrument(Part):
@@ -73,7 +74,7 @@ class Instrument(Part):
             length = float(np.linalg.norm(way))
             if not abs(length - self._lengths[k]) < MIN_CHANGE:
                 self._lengths[k] = length
-                vertices, faces = solid(max(capsule.radius, 5e-4), length)
+                vertices, faces = solid(capsule.radius + LIFT, length)
                 node.vertices, node.faces = to_buffer(vertices), faces
             node.position = to_view(start)
             if length > 0.0:

@@ -21,7 +21,7 @@ from app.settings import Options
 from app.view import palette
 from app.view.controls import panel
 from app.view.drawing import fixture
-from app.view.drawing.instrument import Instrument, part_states, solid
+from app.view.drawing.instrument import LIFT, Instrument, part_states, solid
 from app.view.drawing.labels import Labels
 from app.view.inspector import descriptions
 from app.view.inspector.inspection import Inspector, Request, Subject
@@ -179,7 +179,7 @@ def test_capsules_are_drawn_where_they_are_and_coloured_by_what_holds_them(
         a, b = arm.axes(q)[k]
         share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)[:, None]
         away = np.linalg.norm(points - a - share * (b - a), axis=1)
-        np.testing.assert_allclose(away, capsule.radius, atol=3e-5)
+        np.testing.assert_allclose(away, capsule.radius + LIFT, atol=3e-5)
     near = step_of(leaning).planes.capsules
     assert near is not None
     expected = [palette.PART_NEAR if k in near else palette.PART for k in range(4)]
