@@ -229,9 +229,10 @@ def test_a_stuck_reader_loses_ticks_but_not_the_loop(
 
 
 LEAVES = """
-import logging, os, sys, time
+import logging, os, signal, sys, time
 from app.session import Session
 from app.settings import Options
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a test run without a terminal may ignore it
 session = Session(Options(mesh="cube", robot="point"), process=True)
 session.start()
 session.set_autopilot(True)
