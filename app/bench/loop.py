@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import meshes
-from app.bench.tools import report
+from app.bench.tools import bare, report
 from app.bench.tools.machine import machine, percentiles, proportional, scheduling
 from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
@@ -37,6 +37,7 @@ SETTLE = 2.0  # between phases [s]
 LATE = 1e-3  # a tick later than this is not on time [s]
 PROMPT = 1e-4  # a tick less late than this is on time to the point [s]
 FIRST_TICK = 60.0  # timeout [s]
+BARE = 10.0  # how long a loop that does nothing is measured, at most [s]
 PATIENCE = 10.0  # for ticks that were not read yet [s]
 
 
@@ -86,6 +87,9 @@ def run(
     """
     about = machine()
     raise_process_priority()
+    say("a loop that does nothing, for comparison")
+    seconds = min(options.seconds, BARE)
+    nothing = summary(bare.measure(options.rate, seconds), seconds, options.rate)
     with ExitStack() as stack:
         path, unit, name = _mesh(options, stack, say)
         wanted = Options(
@@ -128,6 +132,7 @@ def run(
         "mesh": name,
         "browser": seen,
         "scheduling": how,
+        "a loop that does nothing": nothing,
         "start": {"first tick [s]": first_tick, "page [s]": ready},
         "phases": rows,
         "interrupted": len(rows) < len(options.phases),
@@ -248,6 +253,12 @@ def show(result: dict[str, Any], console: Console) -> None:
     console.print(
         f"from the start of the session to the first tick {start['first tick [s]']:.1f} s, "
         f"to the page {start['page [s]']:.1f} s"
+    )
+    nothing = result["a loop that does nothing"]
+    console.print(
+        f"a loop that does nothing, with the same priority, before the rest: "
+        f"{100 * nothing['punctual']:.3f} % < 1 ms late, {100 * nothing['prompt']:.3f} % < 0.1 ms, "
+        f"longest stall {nothing['longest stall [ms]']:.2f} ms"
     )
     names = (
         "phase", "ticks", "rate [Hz]", "late p50 [µs]", "late p99", "late p99.9", "< 1 ms late",

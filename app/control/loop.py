@@ -119,7 +119,7 @@ class ControlLoop(Host):
         self._thread.start()
 
     def _run(self) -> None:
-        _request_realtime()
+        request_realtime()
         with _realtime_interpreter():
             try:
                 self._loop()
@@ -212,7 +212,7 @@ def _switch_interval(cost: float, cores: int | None = None) -> float:
     return min(max(SWITCH_INTERVAL, factor * cost), LONGEST_INTERVAL)
 
 
-def _request_realtime() -> None:
+def request_realtime() -> None:
     """On Linux, set a timer slack of 1 µs (default: 50 µs) and real-time scheduling, if permitted.
 
     Real-time scheduling keeps other programs from delaying ticks; it needs a privilege that desktop

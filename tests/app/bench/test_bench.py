@@ -14,7 +14,7 @@ import meshes
 import robots
 import vf
 from app.bench import loop, runtime
-from app.bench.tools import report, settings
+from app.bench.tools import bare, report, settings
 from app.bench.tools import route as routes
 from app.bench.tools.machine import write
 from app.commands import call
@@ -129,6 +129,16 @@ def test_ticks_that_a_stall_swallowed_count_as_late() -> None:
     assert row["punctual"] == pytest.approx(0.9)
     assert row["longest stall [ms]"] == pytest.approx(101.0)
     assert loop.summary(np.empty((0, 3)), 1.0, 1000.0)["punctual"] == 0.0
+
+
+def test_a_loop_that_does_nothing_ticks_at_its_deadlines() -> None:
+    rows = bare.measure(200.0, 0.2)
+    assert 2 <= len(rows) <= 40
+    starts, late, _ = rows.T
+    assert (late >= 0.0).all()
+    deadlines = starts - late
+    # 5 ms after the one before, or later where a stall is not made up for.
+    assert (np.diff(deadlines) >= 5e-3 - 1e-6).all()
 
 
 def test_the_loop_is_watched_without_a_browser() -> None:
