@@ -38,6 +38,7 @@ def attacker(page: Page) -> Iterator[ClientConnection]:
         max_size=None,
         # Two threads that wait for a third to end can fail in Python before 3.13.
         ping_interval=None,
+        close_timeout=1.0,  # it reads nothing, not even the answer to its closing
     ) as connection:
         introduce(connection)
         wait_until(lambda: len(page.server.get_clients()) == 1, "the attacker to be known")
@@ -243,6 +244,7 @@ def test_one_client_has_the_proxy_and_the_others_are_told_who(
         page.url.replace("http", "ws"),
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
+        close_timeout=1.0,
     ) as other:
         introduce(other)
         wait_until(lambda: len(page.server.get_clients()) == 2, "the other")
