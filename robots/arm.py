@@ -39,8 +39,7 @@ class Arm:
         neutral:  the rest pose, within the limits.
         chain:    `(k + 1, 14)`, the joints between base and tip as `vf.tick.chain` reads them.
         capsules: the bodies of the instrument, the one at the tip first.
-        anchors:  `(c, 2, 4)`, where the ends of the capsules' axes are fixed, as `vf.tick.chain`
-                  reads them.
+        anchors:  `(c, 2, 4)`, where the ends of their axes are fixed, as `vf.tick.chain` reads it.
     """
 
     def __init__(

@@ -14,6 +14,7 @@ from vf.layout import CAPSULE, FIXTURE, FLOOR, FOOT, NORMAL, OFFSET, POINT, RULE
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 # Coordinates and lengths beyond this are refused [m]: rounding would be as large as a standoff, and
 # far beyond it squares overflow.
@@ -103,7 +104,7 @@ class Planes:
     floors: FloatArray | None = None
     capsules: IntArray | None = None
     fixtures: IntArray | None = None
-    of_axis: NDArray[np.bool_] | None = None
+    of_axis: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.offsets)
