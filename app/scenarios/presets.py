@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from app.scenarios.file import Scenario, ScenarioError, Waypoint, read
+from app.scenarios.values import Viewpoint
 from app.settings import Options
 
 
@@ -137,7 +138,8 @@ _KEYHOLE = Scenario(
         _at(6.0, -15, 0, -35),
         _at(7.0, 0, 0, -35),
     ),
-    camera="anatomy",
+    # The block, and where the hand goes below it.
+    camera=Viewpoint((0.064, 0.072, 0.055), (0.0, 0.0, -0.002)),
 )
 _CORNER = Scenario(
     "around-the-corner",

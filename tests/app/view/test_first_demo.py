@@ -11,6 +11,7 @@ import pytest
 import trimesh
 import viser
 
+import meshes
 import vf
 from app.scenarios import presets
 from app.scenarios.staging import course
@@ -100,7 +101,10 @@ def test_a_scenario_stays_in_the_picture_or_its_camera_follows(name: str) -> Non
     assert way is not None
     view = None
     if isinstance(scenario.camera, str):
-        view = camera.named_view(scenario.camera, scene, None)
+        view = camera.named_view(scenario.camera.capitalize(), scene, None)
+    elif scenario.camera is not None:
+        ends = [scenario.camera.eye, scenario.camera.look_at]
+        view = camera.View(*meshes.transformed(scene.T_base_mesh, ends))
     seen = np.abs(pixels(scene, way.points, view))
     assert seen.max(axis=0) == pytest.approx([200, 225], abs=225)
 
