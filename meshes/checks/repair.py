@@ -30,7 +30,7 @@ class Changes:
         welded: vertices joined with an earlier one; ``farthest`` is the largest distance [m].
         degenerate, duplicates: faces dropped.
         unused: vertices dropped because no face uses them.
-        flipped: faces turned to agree with their patch.
+        flipped: faces turned to agree with most of their patch (of a tie: with the first).
         turned_bodies: closed bodies turned as a whole, to face outwards.
         turned_patches: open patches turned as a whole, by ``flip`` or with the enclosing body.
         left: defects that remain, a line each.
@@ -95,10 +95,11 @@ def repair(
     Vertices within the tolerance are replaced by the first of them. Faces are dropped that then
     repeat a corner or another face, or are lower than the tolerance and have no neighbour (a flat
     face with neighbours closes a seam between them). Faces are turned to agree with the majority of
-    their patch, closed bodies to face outwards; inner bodies turn with the outermost one around
-    them, so that a cavity stays one, also where the outer wall has a hole or a fin. The outside of
-    an open patch is unknown: ``flip`` turns all open patches and the bodies in them. No hole is
-    filled, nothing is cut or moved.
+    their patch, of a tie with its first face: so also where two fins that share an edge are wound
+    against each other. Closed bodies are turned to face outwards; inner bodies turn with the
+    outermost one around them, so that a cavity stays one, also where the outer wall has a hole or a
+    fin. The outside of an open patch is unknown: ``flip`` turns all open patches and the bodies in
+    them. No hole is filled, nothing is cut or moved.
 
     Args:
         tolerance: of the weld [m]; a millionth of the diagonal by default.

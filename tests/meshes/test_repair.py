@@ -136,6 +136,23 @@ def test_what_cannot_be_mended_is_left_and_told() -> None:
     assert result.changes.left == ("nothing: no face had any area",)
 
 
+def test_fins_agree_across_an_edge_of_two_only() -> None:
+    ball = trimesh.creation.icosphere(1, 0.01)
+    around = ball.vertex_neighbors[0]
+    vertices = np.vstack([ball.vertices, 1.1 * ball.vertices[0]])
+    tip = len(vertices) - 1
+    # Each is on an edge of the ball; all walk the edge that they share from the tip to the ball.
+    fins = np.array([[0, there, tip] for there in around[:3]])
+    for count, turned in ((1, []), (2, [1]), (3, [])):
+        faces = np.vstack([ball.faces, fins[:count]])
+        result = repair(vertices, faces, tolerance=0.0)
+        assert health(vertices, faces, examine=0).count("flipped faces") == len(turned)
+        assert (result.changes.flipped, result.changes.turned_patches) == (len(turned), 0)
+        wanted = fins[:count].copy()
+        wanted[turned] = wanted[turned][:, [0, 2, 1]]
+        assert np.array_equal(result.faces, np.vstack([ball.faces, wanted]))
+
+
 def test_flip_turns_open_patches_only() -> None:
     sheet = damage("sheet", meshes.arrays("torus"))
     straight, turned = repair(*sheet), repair(*sheet, flip=True)
