@@ -242,7 +242,9 @@ time.sleep(100)
 """
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "end", [signal.SIGKILL, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
+)
 def test_a_control_process_that_is_left_alone_holds_and_ends(end: signal.Signals) -> None:
     shm = set(os.listdir("/dev/shm"))
     with subprocess.Popen(
