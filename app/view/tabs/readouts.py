@@ -85,11 +85,11 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             *_by_condition(step),
             *_by_part(step, options, extras),
             _row("QP", palette.SOLVER_HELP[step.solver]),
-            _row("outcome", step.status.name),
+            _row("outcome", "loop ended" if extras.ended else step.status.name),
         ]
     rows += [
         _section("Control loop"),
-        _row("rate", f"{stats.rate:,.0f}", "Hz"),
+        _row("rate", "0" if extras.ended else f"{stats.rate:,.0f}", "Hz"),
         _row("tick, median", f"{stats.tick_median * 1e6:,.0f}", "µs"),
         _row("tick, worst of 1 s", f"{stats.tick_worst * 1e6:,.0f}", "µs"),
         _row("overruns", f"{stats.overruns:,}", " "),

@@ -162,6 +162,19 @@ def test_a_silent_loop_is_the_most_urgent_state(session: Session) -> None:
     assert "Ready" in banner(session, silent=0.1)
 
 
+def test_a_loop_that_ended_has_no_rate_and_no_outcome(session: Session) -> None:
+    wait_until(lambda: session.latest().stats.rate > 0.0)
+    running, ended = (
+        text(readouts.readouts(session.latest(), session.options, extras(session, ended=why)))
+        for why in ("", "signal SIGKILL")
+    )
+    assert "rate0Hz" not in running
+    assert "SOLVED" in running.split("Control loop")[0]
+    assert "rate0Hz" in ended
+    assert "SOLVED" not in ended.split("Control loop")[0]
+    assert "SIGKILL" in banner(session, ended="signal SIGKILL")
+
+
 @pytest.mark.parametrize("solver", list(Solver))
 def test_each_solver_and_status_has_a_text(session: Session, solver: Solver) -> None:
     telemetry = session.latest()
