@@ -19,6 +19,7 @@ import robots
 import vf
 from app.judges import boxes, exact
 from app.judges.boxes import Boxes
+from app.judges.nearest import nearest
 from app.judges.oracles import OVERLAP_TOLERANCE, distance, touches
 from vf.kernels import njit
 
@@ -90,7 +91,7 @@ class Judge:
         """Distance of each capsule (c,) from the mesh [m], 0 or less where it overlaps it."""
         found = np.array(
             [
-                _clearance(self._tree(k)[0], axis) - self.radii[k]
+                nearest(self._tree(k)[0], axis)[0] - self.radii[k]
                 for k, axis in enumerate(self._axes(q))
             ]
         )
@@ -211,20 +212,6 @@ def _distances_to(triangles: FloatArray, p: FloatArray) -> FloatArray:
     flat = triangles.reshape(-1, 3)
     rows = np.arange(len(flat)).reshape(-1, 3)
     return np.asarray(_point_distances(flat, rows, p))
-
-
-def _clearance(tree: Boxes, axis: FloatArray) -> float:
-    """Distance of an axis (2, 3) from all triangles [m], 0 where it meets one."""
-    reach = 1e-3
-    while True:
-        near = boxes.near(tree, axis[0], axis[1], reach)
-        if len(near):
-            gap = _nearest(tree, near, axis)[0]
-            if gap <= reach:
-                return max(gap, 0.0)
-        if len(near) == len(tree.faces):
-            return _nearest(tree, near, axis)[0]
-        reach *= 4.0
 
 
 def _nearest(

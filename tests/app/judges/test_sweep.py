@@ -12,7 +12,7 @@ import trimesh
 
 import robots
 import vf
-from app.judges import boxes, exact, oracles, sweep
+from app.judges import boxes, exact, nearest, oracles, sweep
 from robots import point
 from tests.support import convex
 
@@ -68,7 +68,7 @@ def test_the_judges_floats_against_the_exact_distance() -> None:
         if gap2:
             assert oracles.distance(a, b, *corners) == pytest.approx(root(gap2), abs=1e-12)
         tree = boxes.build(corners, np.array([[0, 1, 2]]))
-        assert sweep._clearance(tree, np.array([a, b])) == pytest.approx(root(gap2), abs=1e-12)
+        assert nearest.nearest(tree, np.array([a, b]))[0] == pytest.approx(root(gap2), abs=1e-12)
 
 
 def judge_of(arm: robots.Arm, at: np.ndarray, turn: np.ndarray, **options: float) -> sweep.Judge:
