@@ -102,7 +102,7 @@ class Verify(Checked):
         "none. The standoff is then four times the error.",
     )  # fmt: skip
     guard: str | None = option(
-        Maybe(OneOf("guard", ("tip", "tool"))), None,
+        Maybe(OneOf("guard", choices.GUARDS)), None,
         "Aim with every capsule of the instrument and judge each on its true path, at 10 Hz to "
         "10 kHz in turn; tool: all of them are guarded, tip: the tip alone. Not given: the tip is "
         "guarded, aimed and judged.",

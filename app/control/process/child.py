@@ -1,4 +1,4 @@
-"""The control process: the control loop, and nothing else. Run as a module by `process`.
+"""The control process: the control loop, and nothing else. Run as a module by `handle`.
 
 Its main thread takes messages from the page's process and builds plants; the control thread reads
 its orders from shared memory and writes what became of them there.
