@@ -38,11 +38,12 @@ class Playback:
 
 
 def options(trial: Trial) -> Options:
-    """Settings of a session with the trial's controller."""
+    """Settings of a session with the trial's controller, which guards the tip alone."""
     return Options(
         mesh="skull-precut" if trial.experiment == "tracing" else trial.mesh,
         robot="psm",
         rule=trial.rule,
+        guard="tip",
         radius=protocol.RADIUS,
         rate=trial.rate,
         corridor=trial.width if trial.assisted else None,
