@@ -262,7 +262,7 @@ def test_each_of_two_who_look_from_elsewhere_sees_its_own(
         phone.client_id = max(set(page.server.get_clients()) - known)
         look_around(phone, session, seed=7)
         p_tip = np.array(session.latest().step.tip.translation)
-        camera.move(phone.client, camera.View(p_tip + np.array([3.0, 3.0, 3.0]), p_tip))
+        camera.move(phone.client, camera.View(p_tip + np.array([20.0, 20.0, 20.0]), p_tip))
         there = {label.name for label in check(phone)}
         here = {label.name for label in check(visitor)}
         assert name("/fixture/blocks") in there & here, "the most important of them"
