@@ -12,7 +12,7 @@ from pathlib import Path
 from app.words import OptionError
 
 ROBOTS = ("psm", "point", "panda", "ur5")
-RULES = ("certified", "paper", "all", "off")
+RULES = ("certified", "paper", "all", "off", "nearest", "sdf")
 GUARDS = ("tip", "tool")
 AXES = ("z", "-z", "y", "-y", "x", "-x")
 UNITS = ("m", "cm", "mm", "in")

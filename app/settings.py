@@ -97,7 +97,8 @@ class Options(Checked):
     )
     rule: str = option(
         OneOf("rule", choices.RULES), "certified",
-        "Which planes guard the tool: paper has its Conditions 1-3, all takes every face.",
+        "Which planes guard the tool: paper has its Conditions 1-3, all takes every face, nearest "
+        "one plane at the nearest point, sdf one of a distance field sampled every 0.5 mm.",
         Scope.FIXTURE,
     )  # fmt: skip
     guard: str = option(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from app import choices
 from app.recording import capture
 from app.recording.format import MAX_ROWS
 from app.scenarios import file as scenario_file
@@ -93,7 +92,7 @@ def test_the_keys_of_the_guide_are_those_of_the_page() -> None:
     text = (DOCS / "guide.md").read_text("utf-8")
     table = text[text.index("| key | does |") :].split("\n\n")[0]
     told = set(re.findall(r"`([A-Z0-9])`", table))
-    told |= {str(n) for n in range(1, len(choices.RULES) + 1)}  # `1` to `4`
+    told |= {str(n) for n in range(1, keys.KEYED + 1)}  # `1` to `4`
     views_keys = {*views.KEYS.values(), views.SECTION_KEY, views.LENS_KEY, views.DARK_KEY}
-    rules = {str(number) for number in range(1, len(choices.RULES) + 1)}
+    rules = {str(number) for number in range(1, keys.KEYED + 1)}
     assert told == {*keys.NUDGES, *"PNRCG", help.KEY, *rules, *views_keys}

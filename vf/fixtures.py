@@ -11,14 +11,15 @@ from vf.layout import MESH
 from vf.planes import FloatArray, Planes, checked_length
 from vf.rules.certified import cover
 from vf.rules.inside import ON_SURFACE, leads_out, on_surface, way_out
+from vf.rules.nearest import DistanceField, nearest_plane
 from vf.rules.paper import every_plane, paper_planes
 from vf.rules.search import Search
 from vf.surface import Surface
 
-# The planes of the paper's rules are at least this far below x, so that rounding cannot block
-# sliding [m].
+# The planes of rules that are not certified are at least this far below x, so that rounding cannot
+# block sliding [m].
 ROOM = 1e-11
-RULES = ("certified", "paper", "all", "off")
+RULES = ("certified", "paper", "all", "off", "nearest", "sdf")
 
 
 class Fixture(Protocol):
@@ -53,7 +54,8 @@ class MeshFixture:
 
     Args:
         surface: the anatomy, in the arm's base frame.
-        rule: "certified", "paper" (Conditions 1–3), "all" (every face plane) or "off".
+        rule: "certified", "paper" (Conditions 1–3), "all" (every face plane), "off", "nearest" (one
+            plane at the nearest point) or "sdf" (one plane, of a sampled distance field).
         radius: of the motion sphere [m], None: as far as the arm can go in a tick.
 
     Raises:
@@ -71,6 +73,7 @@ class MeshFixture:
         self.rule = rule
         self.radius = radius
         self.certified = rule in ("certified", "off")
+        self._field = DistanceField(surface) if rule == "sdf" else None
         # The controller looks for the certified planes itself where the tip is not inside.
         self.search = Search(MESH, surface.tree, surface.edges) if rule == "certified" else None
 
@@ -96,8 +99,15 @@ class MeshFixture:
             if planes.radius == 0.0 and self.surface.closed:
                 return on_surface(self.surface, x, radius, standoff, tip_radius) or planes
             return planes
-        choose = paper_planes if self.rule == "paper" else every_plane
-        planes = choose(self.surface, x, radius + tip_radius)
+        reach = radius + tip_radius
+        if self.rule == "paper":
+            planes = paper_planes(self.surface, x, reach)
+        elif self.rule == "nearest":
+            planes = nearest_plane(self.surface, x, reach + standoff, inside)
+        elif self._field is not None:
+            planes = self._field.plane(x, reach + standoff, inside)
+        else:
+            planes = every_plane(self.surface, x, reach)
         # Towards x by the standoff, but never past it: standing still stays allowed.
         offsets = np.minimum(planes.offsets + standoff + tip_radius, planes.normals @ x - ROOM)
         return replace(planes, offsets=offsets, radius=radius)

@@ -69,6 +69,8 @@ class Rule(IntEnum):
     VALLEY = 3  # Condition 3: face plane, closest point on a valley edge
     EXIT = 4  # the tool is inside the anatomy: only motion towards the way out
     CORRIDOR = 5  # a wall of the corridor along a planned path
+    NEAREST = 6  # at the nearest point of the mesh, facing the tool
+    SAMPLED = 7  # of a distance field that is sampled and interpolated
 
 
 @dataclass(frozen=True)

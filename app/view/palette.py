@@ -58,6 +58,8 @@ LOOKS: dict[vf.Rule, Look] = {
     vf.Rule.NAIVE: Look(GREY, "no condition", "every face in the sphere, as in rule “all”"),
     vf.Rule.EXIT: Look(YELLOW, "way out", "the tool is inside: only outward motion passes"),
     vf.Rule.CORRIDOR: Look(CORRIDOR, "corridor", "a wall along the planned path"),
+    vf.Rule.NEAREST: Look(PURPLE, "nearest point", "the plane faces the tool from there"),
+    vf.Rule.SAMPLED: Look(SKY, "distance field", "the plane is interpolated between samples"),
 }
 
 
@@ -90,6 +92,9 @@ RULE_HELP: dict[str, str] = {
     "damaged ones.",
     "all": "The plane of every face in the sphere, without conditions: blocks free space too.",
     "off": "No fixture: the tool goes wherever the proxy is.",
+    "nearest": "One plane at the nearest point, as other controllers have it: the second wall of a "
+    "corner is not guarded.",
+    "sdf": "One plane from a distance field sampled every 0.5 mm: what is thinner can be passed.",
 }
 
 GUARD_HELP: dict[str, str] = {

@@ -55,7 +55,8 @@ def complaint(result: subprocess.CompletedProcess[str]) -> str:
         ),
         (
             ["--rule", "soft", "--port", "0"],
-            "vf-sandbox: error: unknown rule 'soft': choose one of certified, paper, all, off",
+            "vf-sandbox: error: unknown rule 'soft': choose one of certified, paper, all, off, "
+            "nearest, sdf",
         ),
         (["--rate", "1e9"], "vf-sandbox: error: rate 1e+09 Hz is outside 10 Hz to 20000 Hz"),
         (["--port", "70000"], "vf-sandbox: error: port 70000 is outside 0 to 65535"),

@@ -119,7 +119,8 @@ def test_shows_the_allowed_region(tab: Visitor, session: Session, page: Page) ->
     tab.tab.get_by_text("of the sphere (drawn as a polyhedron inside it)").wait_for()
     corners = np.asarray(node(page, "/inspector/region").vertices) / VIEW_SCALE
     planes = session.latest().step.planes.of_tip()
-    assert len(planes) and (corners @ planes.normals.T >= planes.offsets - 1e-6).all()
+    assert len(planes)
+    assert (corners @ planes.normals.T >= planes.offsets - 1e-6).all()
     tab.picture("inspector-region")
     tab.tab.get_by_label("Allowed region", exact=True).click()
     wait_until(lambda: not node(page, "/inspector/region").visible, "the solid to go")

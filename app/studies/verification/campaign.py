@@ -285,4 +285,5 @@ def planes_of(
         return vf.paper_planes(surface, x, radius)
     if rule == "all":
         return vf.every_plane(surface, x, radius)
-    return vf.Planes.none(radius)
+    fixture = vf.MeshFixture(surface, rule, radius)
+    return fixture.planes(x, radius, standoff, tip_radius, fixture.inside(x))

@@ -35,6 +35,8 @@ NUDGES: dict[str, tuple[str, tuple[float, float, float]]] = {
 # Ticks per press of N, by modifier key.
 STEPS: dict[str | None, int] = {None: 1, "shift": 10, "alt": 100}
 
+KEYED = 4  # rules that have a key, `1` and so on; the others are only in the list
+
 
 class Keys:
     """The commands; each is queued behind the client's earlier input."""
@@ -59,7 +61,7 @@ class Keys:
         self._add("Reset tool and proxy", "R", lambda _client: session.reset())
         self._add("Recall the proxy to the tool", "C", lambda _client: session.recall())
         self._add("Autopilot: on, or off", "G", lambda _client: self._toggle_autopilot())
-        for number, rule in enumerate(vf.RULES, 1):
+        for number, rule in enumerate(vf.RULES[:KEYED], 1):
             self._add(f"Rule: {rule}", str(number), partial(self._rule, rule))
         for key, (label, order) in views.items():
             self._add(label, key, order)
