@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 import trimesh
 
+import vf
 from app.session import Session
 from app.view import Page, camera
 from app.view.units import VIEW_SCALE
@@ -130,15 +131,19 @@ def test_compares_rules(tab: Visitor, session: Session) -> None:
     tab.tab.get_by_label("Compare rules", exact=True).click()
     table = tab.tab.locator(".vf-rules table").first
     table.wait_for()
-    lines = [line.split() for line in table.inner_text().splitlines() if line.strip()]
-    rules = lines[0]
-    assert rules == ["certified", "paper", "all", "off"]
-    found = {line[0]: dict(zip(rules, line[1:], strict=True)) for line in lines[1:3]}
+    heads, *lines = [
+        [cell.strip() for cell in line.split("\t")]
+        for line in table.inner_text().splitlines()
+        if line.strip()
+    ]
+    assert heads[1:4] == ["planes", "leak", "blocked"]
+    found = {line[0]: dict(zip(heads, line, strict=True)) for line in lines}
+    assert list(found) == list(vf.RULES)
     in_sphere = len(session.scene.surface.within(tip(session), 5e-3))
-    assert int(found["planes"]["all"].replace(",", "")) == in_sphere
-    assert found["planes"]["off"] == "0"
-    assert found["leak"]["certified"] == "0%"
-    assert found["leak"]["off"] == "100%"
+    assert int(found["all"]["planes"].replace(",", "")) == in_sphere
+    assert found["off"]["planes"] == "0"
+    assert found["certified"]["leak"] == "0%"
+    assert found["off"]["leak"] == "100%"
     tab.tab.get_by_label("Compare rules", exact=True).click()
     table.wait_for(state="detached")
 

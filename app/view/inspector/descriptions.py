@@ -207,40 +207,33 @@ def parts(inspection: Inspection) -> str:
 
 
 def comparison(compared: Forecasts) -> str:
-    """Table of the forecasts, one column per rule."""
+    """Table of the forecasts, a row for each rule."""
     forecasts, x = compared.of, compared.x
     cell = "padding:0 0 0 4px;text-align:right;white-space:nowrap"
-
-    def line(name: str, values: list[str], hint: str) -> str:
-        cells = "".join(f"<td style='{cell}'>{v}</td>" for v in values)
-        head = f"<tr title='{html.escape(hint)}'><td style='color:var(--vf-soft)'>{name}</td>"
-        return f"{head}{cells}</tr>"
-
-    head = "".join(f"<th style='{cell};font-weight:600'>{t.rule}</th>" for t in forecasts)
-    lines = [
-        line("planes", [f"{t.planes:,}" for t in forecasts], "how many half-spaces"),
-        line(
+    columns = [
+        ("planes", "how many half-spaces", [f"{t.planes:,}" for t in forecasts]),
+        (
             "leak",
-            [_highlight(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
             "share of the surface in the sphere on the allowed side of every plane (sampled)",
+            [_highlight(_percent(t.leaking), t.leaking > 0.0) for t in forecasts],
         ),
-        line(
+        (
             "blocked",
-            [_percent(t.blocked) for t in forecasts],
             "share of the free space in the sphere that the planes forbid (sampled)",
+            [_percent(t.blocked) for t in forecasts],
         ),
     ]
     if any(np.isfinite(t.step) for t in forecasts):
-        lines += [
-            line(
+        columns += [
+            (
                 "step, µm",
-                [f"{t.step * 1e6:.0f}" for t in forecasts],
                 "how far the tip would go in the next tick",
+                [f"{t.step * 1e6:.0f}" for t in forecasts],
             ),
-            line(
+            (
                 "end gap, µm",
-                [_highlight(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
                 "from where it would go to the surface",
+                [_highlight(f"{t.gap * 1e6:.0f}", t.crosses) for t in forecasts],
             ),
         ]
         crossing = [t.rule for t in forecasts if t.crosses]
@@ -251,12 +244,23 @@ def comparison(compared: Forecasts) -> str:
         moves = f"<div style='{_SMALL}'>Tip would move by (x, y, z)<br>{moves}</div>"
     else:
         note, moves = "No step: there is no proxy to follow here.", ""
+    heads = "".join(
+        f"<th style='{cell};font-weight:400;color:var(--vf-soft)' title='{html.escape(hint)}'>"
+        f"{name}</th>"
+        for name, hint, _ in columns
+    )
+    lines = "".join(
+        f"<tr><th style='text-align:left;font-weight:600'>{t.rule}</th>"
+        + "".join(f"<td style='{cell}'>{values[k]}</td>" for _, _, values in columns)
+        + "</tr>"
+        for k, t in enumerate(forecasts)
+    )
     moment = "At the probe." if compared.tick is None else f"All after tick {compared.tick:,}."
     return (
         f"<div class='vf-rules' style='{_BOX}'><div style='{_SMALL}'>{moment}</div>"
         "<table style='width:100%;border-collapse:collapse;"
-        f"font-size:11px;font-variant-numeric:tabular-nums'><tr><th></th>{head}</tr>"
-        f"{''.join(lines)}</table><div style='{_SMALL}'>{html.escape(note)}</div>{moves}"
+        f"font-size:11px;font-variant-numeric:tabular-nums'><tr><th></th>{heads}</tr>"
+        f"{lines}</table><div style='{_SMALL}'>{html.escape(note)}</div>{moves}"
         f"<div style='{_SMALL}'>Leak: surface on the allowed side of all planes. Blocked: free "
         "space behind one.</div></div>"
     )
