@@ -33,7 +33,7 @@ from app.recording.format import (
     RecordingError,
 )
 from app.scenarios.values import LONGEST
-from app.settings import Options
+from app.settings import DECLARED, Options
 from app.words import OptionError
 
 COURSE_FARTHEST = 2.0 * FARTHEST  # of a waypoint: its place in the mesh plus the mesh's place [m]
@@ -208,7 +208,9 @@ def _options(values: dict[str, Any], version: int) -> Options:
         odd = sorted(set(values) ^ set(RECORDED))[0][:40]
         raise RecordingError(f"the options in the header are not those of a session ({odd!a})")
     try:
-        return Options(**{name: plain(value) for name, value in values.items()})
+        return Options(
+            **{name: plain(value, DECLARED[name].kind) for name, value in values.items()}
+        )
     except OptionError as error:
         raise RecordingError(f"an option in the header is not usable: {error}") from None
 

@@ -18,8 +18,8 @@ import platformdirs
 
 import meshes
 from app.files import numbered, size
-from app.options import plain
-from app.settings import MESH, Options
+from app.options import plain, raw
+from app.settings import DECLARED, MESH, Options
 
 MOST = 100  # number of files
 ROOM = 4e9  # total size, so that uploads cannot fill the disk [byte]
@@ -89,7 +89,11 @@ class Library:
         with contextlib.suppress(OSError, ValueError):
             note = json.loads((path.parent / NOTE).read_bytes())
             if isinstance(note, dict):
-                known = {k: plain(v) for k, v in note.items() if k in MESH and k != "mesh"}
+                known = {
+                    key: plain(value, DECLARED[key].kind)
+                    for key, value in note.items()
+                    if key in MESH and key != "mesh"
+                }
                 Options(**known)  # raises if one is invalid
                 found |= known
         return found
@@ -113,7 +117,7 @@ class Library:
         self._used[name] = how
         if Path(options.mesh) == self._place / name / name:
             with contextlib.suppress(OSError, TypeError):
-                about = {key: value for key, value in how.items() if key != "mesh"}
+                about = {key: raw(value) for key, value in how.items() if key != "mesh"}
                 new = self._place / name / f".{NOTE}"
                 new.write_text(json.dumps(about))
                 new.replace(self._place / name / NOTE)  # atomic
