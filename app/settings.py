@@ -88,6 +88,11 @@ def split(text: str) -> tuple[str, str | None]:
     return file, label
 
 
+def printable(name: str) -> str:
+    """A name of a file or label as one of a structure: at most 100 printable characters."""
+    return "".join(c if c.isprintable() else "?" for c in name)[-100:] or "?"
+
+
 @dataclass(frozen=True)
 class Options(Checked):
     """Settings of a session. Lengths are in metres, on the command line with a unit (`5mm`).
@@ -268,7 +273,7 @@ class Options(Checked):
             self.mesh, colour=self.colour, opacity=self.opacity, margin=self.margin,
             guarded=self.guarded, unit=self.unit,
         )  # fmt: skip
-        named = replace(mesh, name=mesh.label or Path(mesh.file).name[-100:])
+        named = replace(mesh, name=printable(mesh.label or Path(mesh.file).name))
         return named, *self.structures
 
     @property

@@ -99,13 +99,16 @@ class Library:
         return found
 
     def find(self, name: str) -> str | None:
-        """The path of the mesh or planned path of this name; None: unknown name."""
+        """The path of the mesh, structure or planned path of this name; None: unknown name."""
         found = self.settings(name)
         if found is not None:
             return str(found["mesh"])
         for how in self._used.values():
             if how["path"] is not None and Path(how["path"]).name == name:
                 return str(how["path"])
+            for one in how["structures"]:
+                if Path(one.file).name == name:
+                    return str(one.file)
         return None
 
     def note(self, options: Options) -> None:

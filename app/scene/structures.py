@@ -14,7 +14,7 @@ import vf
 from app import choices
 from app.scene.caught import caught_warnings
 from app.scene.outside import shows_fronts_only
-from app.settings import MOST, Options, Structure, split
+from app.settings import MOST, Options, Structure, printable, split
 
 FloatArray = NDArray[np.float64]
 Arrays = tuple[FloatArray, NDArray[np.int64]]
@@ -74,7 +74,7 @@ def read(options: Options, progress: Progress) -> tuple[Options, Arrays | None, 
                 replace(
                     entry,
                     label=_label(entry.file, one, there) if several else None,
-                    name=(entry.name if len(mine) == 1 else None) or one.name[:100],
+                    name=(entry.name if len(mine) == 1 else None) or printable(one.name),
                     colour=entry.colour or _hex(one.colour),
                 )
             )
