@@ -118,7 +118,7 @@ def test_the_anatomy_is_translucent_while_it_hides_the_tip(
     try:
         layer = anatomy.Anatomy(server.scene)
         layer.set_scene(scene)
-        mesh: Any = layer._mesh
+        mesh: Any = layer._drawn[0].mesh
         assert mesh.opacity is None
         tip = scene.T_base_start.translation
         low = np.array([*tip[:2], scene.surface.vertices[:, 2].min()])
@@ -185,7 +185,7 @@ def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
         drawing = FixtureDrawing(server.scene, Labels(server))
-        drawing.draw(p_tip, 5e-3, planes, np.zeros(len(planes)), scene.surface)
+        drawing.draw(p_tip, 5e-3, planes, np.zeros(len(planes)), [scene.surface])
         edges: Any = drawing._edges
         assert edges.visible
         count = 3 * len(planes)
