@@ -1,5 +1,7 @@
 """Meshes for virtual fixtures: catalogue, files, health report, repair, placement. Lengths in m."""
 
+from meshes.anatomy.maps import Label
+from meshes.anatomy.structures import Structure, labels, structures
 from meshes.builtin.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.checks.health import health
 from meshes.checks.repair import Changes, Repaired, repair
@@ -24,10 +26,12 @@ __all__ = [
     "Entry",
     "Finding",
     "Health",
+    "Label",
     "Loaded",
     "MeshError",
     "Placement",
     "Repaired",
+    "Structure",
     "UnitGuess",
     "UnitNeeded",
     "absent",
@@ -37,6 +41,7 @@ __all__ = [
     "frame_description",
     "health",
     "kind",
+    "labels",
     "load",
     "names",
     "place",
@@ -46,5 +51,6 @@ __all__ = [
     "read_path",
     "repair",
     "save",
+    "structures",
     "transformed",
 ]
