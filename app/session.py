@@ -20,7 +20,7 @@ from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.driving import Driving
 from app.devices.page import PageMaster
-from app.kinds import Number
+from app.kinds import Number, bare
 from app.options import Scope, declared
 from app.recording.capture import Tape
 from app.refused import Refused
@@ -276,7 +276,7 @@ class Session(Driving):
                 if name not in STRUCTURE_LIVE:
                     live = ", ".join(STRUCTURE_LIVE)
                     raise Refused(f"{name} is none of what is set of a structure: {live}")
-                kind = known[name].kind
+                kind = bare(known[name].kind)
                 if isinstance(kind, Number):
                     changes[name] = kind.clamped(name, value)
             old = there[number - 1]

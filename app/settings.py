@@ -46,7 +46,7 @@ class Structure(Checked):
         name: for the page; None: as the file says.
         colour: such as ``#cc8844``; None: as the file says, or the page's choice.
         opacity: of the drawing.
-        margin: distance the tool keeps beyond the standoff [m].
+        margin: distance the tool keeps beyond the standoff [m]; None: as the file says, else none.
         guard: "tip" or "tool", as the option of the session; None: as that says.
         guarded: whether it is guarded; it is drawn in any case.
         unit: of the file; None: that of the scene's mesh.
@@ -60,7 +60,9 @@ class Structure(Checked):
     name: str | None = option(Maybe(Text(100)), None, "Name on the page.")
     colour: str | None = option(Maybe(Colour()), None, "Colour of the drawing.")
     opacity: float = option(Number(0.05, 1.0), 1.0, "Opacity of the drawing.")
-    margin: float = option(Length(0.0, 0.05), 0.0, "Distance kept beyond the standoff.")
+    margin: float | None = option(
+        Maybe(Length(0.0, 0.05), "default"), None, "Distance kept beyond the standoff."
+    )
     guard: str | None = option(
         Maybe(OneOf("guard", choices.GUARDS), "default"), None, "What is kept out."
     )

@@ -65,7 +65,7 @@ def assemble(description: Description, arm: Arm) -> Plant:
     options, surface = description.options, description.surface
     fixtures: list[vf.Fixture] = [
         vf.MeshFixture(
-            one, options.rule, options.radius, margin=own.margin, guard=own.guard,
+            one, options.rule, options.radius, margin=own.margin or 0.0, guard=own.guard,
             name=str(own.name),
         )
         for own, one in guarded(options, description.surfaces)

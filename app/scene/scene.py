@@ -103,7 +103,7 @@ def build(
     T_base_tip = arm.tip(arm.neutral)
 
     options, mesh, further = structures.read(options, say)
-    vertices, faces, T_base_mesh, notes = anatomy(options, T_base_tip, say, mesh)
+    vertices, faces, T_base_mesh, notes, frame = anatomy(options, T_base_tip, say, mesh)
 
     if warm:
         say("preparing the kernels (the first start compiles them: up to a minute)")
@@ -117,7 +117,10 @@ def build(
         )
 
     names = [str(one.name) for one in options.structures]
-    placed = [(meshes.transformed(T_base_mesh, corners), f) for corners, f in further]
+    placed = [
+        structures.placed(one, name, frame, T_base_mesh, options)
+        for one, name in zip(further, names, strict=True)
+    ]
     built = structures.build(placed, names, say)
     if open_ones := [n for n, one in zip(names, built, strict=True) if not one.surface.closed]:
         notes.append(f"Not closed, so guarded from both sides: {', '.join(open_ones)}.")
@@ -138,7 +141,7 @@ def build(
 
     say("finding a free start for the tool")
     further_ones = [
-        (one.surface, own.margin) for one, own in zip(built, options.structures, strict=True)
+        (one.surface, own.margin or 0.0) for one, own in zip(built, options.structures, strict=True)
     ]
     find = partial(
         free_start, arm, surface, clearance(options), margin=options.margin, further=further_ones
@@ -173,23 +176,24 @@ def build(
 
 
 def anatomy(
-    options: Options, T_base_tip: pin.SE3, progress: Progress, mesh: Arrays | None = None
-) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str]]:
+    options: Options, T_base_tip: pin.SE3, progress: Progress, own: meshes.Structure | None = None
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str], str | None]:
     """Load, damage, repair and place the mesh as these options say.
 
     Args:
-        mesh: its arrays, as `structures.read` read them from a file of several; None: load it.
+        own: the mesh, as `structures.read` read it from a file of several; None: load it.
 
     Returns:
-        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), and
-        notes for the user, one sentence each.
+        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), notes for
+        the user, one sentence each, and the patient frame, None if it is not known.
 
     Raises:
         ValueError: unusable mesh or placement, with the reason.
     """
-    notes: list[str] = []
-    if mesh is None:
-        mesh, notes = _loaded(options, progress)
+    if own is None:
+        mesh, notes, frame = _loaded(options, progress)
+    else:
+        mesh, notes, frame = (own.vertices, own.faces), [], own.frame
     if options.damage != "none":
         mesh = damage(options.damage, mesh, options.seed)
         notes.append(f"Damaged on purpose: {options.damage}, seed {options.seed}.")
@@ -208,18 +212,18 @@ def anatomy(
     vertices, faces = mesh
     placement = meshes.Placement(options.at, options.rotate, options.up)
     T_base_mesh = placement.pose(vertices, T_base_tip)
-    return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes
+    return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes, frame
 
 
-def _loaded(options: Options, progress: Progress) -> tuple[Arrays, list[str]]:
-    """The mesh as its file has it, and notes for the user."""
+def _loaded(options: Options, progress: Progress) -> tuple[Arrays, list[str], str | None]:
+    """The mesh as its file has it, notes for the user, and its patient frame."""
     with caught_warnings() as caught:
         found = meshes.read(options.mesh, unit=options.unit, frame=options.frame, progress=progress)
     notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
     notes += found.notes
     if options.mesh not in meshes.catalogue():
         notes.append(f"Patient frame: {meshes.frame_description(found.frame)}.")
-    return found.arrays, notes
+    return found.arrays, notes, found.frame
 
 
 def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | None:

@@ -15,6 +15,7 @@ from app import choices
 from app.scene.caught import caught_warnings
 from app.scene.outside import shows_fronts_only
 from app.settings import MOST, Options, Structure, printable, split
+from meshes.frames import half_turn
 
 FloatArray = NDArray[np.float64]
 Arrays = tuple[FloatArray, NDArray[np.int64]]
@@ -42,51 +43,55 @@ class Built:
     fronts_only: bool
 
 
-def read(options: Options, progress: Progress) -> tuple[Options, Arrays | None, list[Arrays]]:
-    """The further structures' vertices (n, 3) [m] and faces (m, 3), in their files' frame.
+def read(
+    options: Options, progress: Progress
+) -> tuple[Options, meshes.Structure | None, list[meshes.Structure]]:
+    """The further structures as their files have them.
 
     Before them the options with one entry for each structure: where a file or a folder has several,
-    there is an entry for each, with its name and, of a label map, its label and colour. Reading
-    these options gives the same again. Then the mesh's arrays if it is one of several in its file,
-    else None. Without a mesh (`choices.NO_MESH`) the first structure becomes the mesh.
+    there is an entry for each, with its name and, as far as the source says them and the options do
+    not, its colour and margin. Reading these options gives the same again. Then the mesh if it is
+    one of several in its file, else None. Without a mesh (`choices.NO_MESH`) the first structure
+    becomes the mesh.
 
     Raises:
         ValueError: a file that cannot be read, an unknown label, too many structures.
     """
     first = options.mesh == choices.NO_MESH
     mesh_too = first or split(options.mesh)[1] is not None
-    given = options.structures if first or not mesh_too else options.anatomy
-    if first and not given:
+    entries = options.structures if first or not mesh_too else options.anatomy
+    if first and not entries:
         raise meshes.MeshError("there is neither a mesh nor a structure")
-    entries = [one for entry in given for one in _files(entry)]
     wanted: dict[tuple[str, str | None], list[str | None]] = {}
     for entry in entries:
         wanted.setdefault((entry.file, entry.unit or options.unit), []).append(entry.label)
     found = {source: _read(*source, labels, progress) for source, labels in wanted.items()}
     settings: list[Structure] = []
-    arrays: list[Arrays] = []
+    there: list[meshes.Structure] = []
     for entry in entries:
-        there = found[entry.file, entry.unit or options.unit]
-        mine = [one for one in there if entry.label in (None, one.name, str(one.label))]
+        every = found[entry.file, entry.unit or options.unit]
+        mine = _chosen(every, entry)
+        several = len(every) > 1 or entry.label is not None
         for one in mine:
-            several = len(there) > 1 or entry.label is not None
+            margin = one.margin or 0.0 if entry.margin is None else entry.margin
             settings.append(
                 replace(
                     entry,
-                    label=_label(entry.file, one, there) if several else None,
+                    label=_label(entry.file, one, every) if several else None,
                     name=(entry.name if len(mine) == 1 else None) or printable(one.name),
                     colour=entry.colour or _hex(one.colour),
+                    margin=margin,
                 )
             )
-            arrays.append(_mended(one.name, (one.vertices, one.faces), options))
-    mesh = arrays.pop(0) if mesh_too else None
+            there.append(one)
+    mesh = there.pop(0) if mesh_too else None
     if mesh_too:
         own = settings.pop(0)
         options = replace(
             options,
             mesh=own.file if own.label is None else f"{own.file}:{own.label}",
             unit=own.unit or options.unit,
-            margin=own.margin,
+            margin=own.margin or 0.0,
             guarded=own.guarded,
             colour=own.colour,
             opacity=own.opacity,
@@ -96,7 +101,27 @@ def read(options: Options, progress: Progress) -> tuple[Options, Arrays | None, 
             f"the scene has {len(settings)} structures: at most {MOST} are guarded; choose some "
             "labels, as FILE:3 or FILE:NAME"
         )
-    return replace(options, structures=tuple(settings)), mesh, arrays
+    return replace(options, structures=tuple(settings)), mesh, there
+
+
+def placed(
+    one: meshes.Structure, name: str, frame: str | None, T_base_mesh: FloatArray, options: Options
+) -> Arrays:
+    """Vertices (n, 3) [m] of a structure in the arm's base frame, and faces (m, 3), repaired.
+
+    Args:
+        name: for messages.
+        frame: patient frame of the scene's mesh. A structure that says the other one is turned.
+    """
+    vertices, faces = one.vertices, one.faces
+    if options.repair or options.flip:
+        mended = meshes.repair(vertices, faces, flip=options.flip)
+        if not len(mended.faces):
+            raise meshes.MeshError(f"{name}: no face has any area, nothing is left of it")
+        vertices, faces = mended.arrays
+    if frame is not None and one.frame not in (None, frame):
+        vertices = half_turn(vertices)
+    return meshes.transformed(T_base_mesh, vertices), faces
 
 
 def build(arrays: Sequence[Arrays], names: Sequence[str], progress: Progress) -> tuple[Built, ...]:
@@ -114,45 +139,41 @@ def build(arrays: Sequence[Arrays], names: Sequence[str], progress: Progress) ->
     return tuple(built)
 
 
-def label_of(text: str) -> int | str:
-    """A label as `meshes.structures` takes it: a number or a name."""
-    return int(text) if text.isdigit() else text
-
-
-def _files(entry: Structure) -> list[Structure]:
-    """An entry for each mesh file of a folder that has any, in order of name; else the entry."""
-    folder = Path(entry.file)
-    if entry.file in choices.SETS or entry.label is not None or not folder.is_dir():
-        return [entry]
-    files = sorted(path for path in folder.iterdir() if meshes.kind(path.name))
-    return [replace(entry, file=str(path), name=None) for path in files] or [entry]
-
-
 def _read(
     file: str, unit: str | None, labels: list[str | None], progress: Progress
 ) -> tuple[meshes.Structure, ...]:
     progress(f"reading {Path(file).name}")
-    chosen = () if None in labels else tuple(label_of(str(one)) for one in dict.fromkeys(labels))
+    # Files of a folder are brought to one frame, so all of them are read.
+    every = None in labels or Path(file).is_dir()
+    chosen = () if every else tuple(str(label) for label in dict.fromkeys(labels))
     with caught_warnings():  # a guess of the unit is checked by the size of the scene's mesh
         return meshes.structures(
             file, chosen, unit, lambda share, text: progress(f"{text}, {share:.0%}")
         )
 
 
-def _label(file: str, one: meshes.Structure, there: Sequence[meshes.Structure]) -> str:
+def _chosen(every: Sequence[meshes.Structure], entry: Structure) -> Sequence[meshes.Structure]:
+    """Those of a source that an entry names, by name, else by number."""
+    label = entry.label
+    if label is None:
+        return every
+    found = (
+        [one for one in every if one.name == label]
+        or [one for one in every if one.name.casefold() == label.casefold()]
+        or [one for one in every if str(one.label) == label]
+    )
+    if not found:
+        known = ", ".join(one.name for one in every)
+        raise meshes.MeshError(f"{entry.file}: there is no structure {label!r}: choose of {known}")
+    return found
+
+
+def _label(file: str, one: meshes.Structure, every: Sequence[meshes.Structure]) -> str:
     """What chooses a structure of a file: its name, or its number where the name does not."""
-    unique = sum(other.name == one.name for other in there) == 1
+    unique = sum(other.name == one.name for other in every) == 1
     plain = not one.name.isdigit() and split(f"{file}:{one.name}") == (file, one.name)
-    return one.name if one.label is None or (unique and plain) else str(one.label)
-
-
-def _mended(name: str, arrays: Arrays, options: Options) -> Arrays:
-    if not (options.repair or options.flip):
-        return arrays
-    mended = meshes.repair(*arrays, flip=options.flip)
-    if not len(mended.faces):
-        raise meshes.MeshError(f"{name}: no face has any area, nothing is left of it")
-    return mended.arrays
+    fits = len(one.name) <= 100 and printable(one.name) == one.name
+    return one.name if one.label is None or (unique and plain and fits) else str(one.label)
 
 
 def _hex(colour: tuple[int, int, int] | None) -> str | None:

@@ -57,11 +57,16 @@ class Anatomy(Part):
             if drawn.mesh is not None:
                 drawn.mesh.remove()
         looks = enumerate(zip(scene.options.anatomy, scene.surfaces, strict=True))
+        same = self._scene is not None and _sources(self._scene) == _sources(scene)
+        switches = [drawn.visible for drawn in self._drawn]
         self._scene = scene
         self._drawn = [
             _Drawn(surface, palette.structure_colour(own, k), own.opacity)
             for k, (own, surface) in looks
         ]
+        if same:  # another arm, another place
+            for drawn, visible in zip(self._drawn, switches, strict=True):
+                drawn.visible = visible
         self.cut(None)
         for k, (drawn, built) in enumerate(zip(self._drawn[1:], scene.structures, strict=True), 1):
             drawn.mesh = self._add(
@@ -160,3 +165,7 @@ class Anatomy(Part):
             cast_shadow=False,
             visible=self._visible and drawn.visible,
         )
+
+
+def _sources(scene: Scene) -> list[tuple[str, str | None, str | None]]:
+    return [own.source for own in scene.options.anatomy]

@@ -21,7 +21,7 @@ from app.settings import Options
 from app.view import camera, palette
 from app.view.drawing import anatomy
 from app.view.drawing.proxy import GIZMO_SIZE
-from app.view.tabs import readouts, signals
+from app.view.tabs import legend, readouts, signals
 from tests.support.runs import run_headless
 
 HEIGHT = 900  # of the picture on a usual screen [px]
@@ -163,7 +163,7 @@ def test_the_force_has_one_name_and_one_colour() -> None:
     plot = next(p for p in signals.PLOTS if "force" in p.title.lower())
     assert plot.title.lower().startswith(name)
     assert plot.curves[0].color == palette.FORCE
-    assert name in readouts.legend()
+    assert name in legend.legend()
     others = [look.color for look in palette.LOOKS.values()]
     others += [palette.BLOCKING, palette.PROXY, palette.ALARM, palette.CORRIDOR]
     assert palette.FORCE not in others
