@@ -271,16 +271,16 @@ class Session(Driving):
             there = self.options.structures
             if not 0 < number <= len(there):
                 raise Refused(f"there is no structure {number}: they are 0 to {len(there)}")
-            known = declared(Structure)
-            for name, value in changes.items():
+            for name in changes:
                 if name not in STRUCTURE_LIVE:
                     live = ", ".join(STRUCTURE_LIVE)
                     raise Refused(f"{name} is none of what is set of a structure: {live}")
-                kind = bare(known[name].kind)
-                if isinstance(kind, Number):
-                    changes[name] = kind.clamped(name, value)
             old = there[number - 1]
             try:
+                if changes.get("margin") is not None:
+                    margin = bare(declared(Structure)["margin"].kind)
+                    assert isinstance(margin, Number)
+                    changes["margin"] = margin.clamped("margin", changes["margin"])
                 new = replace(old, **changes)
                 structures = (*there[: number - 1], new, *there[number:])
                 options = replace(self.options, structures=structures)

@@ -174,7 +174,7 @@ _FILES = ("mesh", "path")
 
 def _is_file(name: str) -> bool:
     """Whether a name is a path: catalogue names have neither suffix nor folder."""
-    return Path(name).suffix != "" or len(Path(name).parts) > 1
+    return Path(name).suffix != "" or "/" in name or len(Path(name).parts) > 1
 
 
 def _written(key: str, name: str, folder: Path | None) -> str:
@@ -185,7 +185,10 @@ def _written(key: str, name: str, folder: Path | None) -> str:
     file, label = (name, None) if key == "path" else split(name)
     if not _is_file(file):
         return name
-    file = Path(file).name if folder is None else _relative(key, Path(file), folder)
+    path = Path(file)
+    file = path.name if folder is None else _relative(key, path, folder)
+    if path.is_dir():
+        file += "/"  # so that it is no name of the catalogue
     return file if label is None else f"{file}:{label}"
 
 
