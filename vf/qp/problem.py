@@ -120,12 +120,6 @@ def height(plane, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def room(plane, x):  # type: ignore[no-untyped-def]
-    """Distance of x (3,) to the plane through the FOOT of a plane, before it was moved."""
-    return height(plane, x) - height(plane, plane[FOOT : FOOT + 3])
-
-
-@njit(cache=True)
 def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
