@@ -125,9 +125,12 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
     polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
+    sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
     standoff = numbers[at.STANDOFF]
+    lowered = 0.0
     while True:
         m = start
+        most = lowered
         reach = radius
         close = 0
         least = np.inf
@@ -139,10 +142,18 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
             slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
             edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
+            margin = 0.0
+            low = 0.0
             if search[at.KIND] == at.MESH:
-                found, valid = walk(
-                    nodes, corners, order, slivers, edges, False, ends, radius, standoff,
-                    thickness, EASE, planes, m, queue, polygons,
+                if not tip and search[at.TOOL] == 0:
+                    continue
+                margin = sides[f, at.MARGIN]
+                nodes_too = search[at.NODE_COUNT] if search[at.VARIED] > 0 else 0
+                highest = numba.carray(floats_at(search[at.NODE_MARGINS]), (nodes_too,))
+                own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))
+                found, valid, low = walk(
+                    nodes, corners, order, slivers, edges, margin, highest, own, lowered, False,
+                    ends, radius, standoff, thickness, EASE, planes, m, queue, polygons,
                 )  # fmt: skip
             elif tip and len(ends) == 3:
                 walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
@@ -163,15 +174,24 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             space = np.inf
             for i in range(m, m + found):
                 planes[i, at.FIXTURE] = f
-                space = min(space, _room(planes[i], ends))
-            if space - thickness < standoff:
+                planes[i, at.KEEP] = numbers[at.STANDOFF] + planes[i, at.PUSH]
+                space = min(space, _room(planes[i], ends) - max(planes[i, at.PUSH] - low, 0.0))
+                planes[i, at.PUSH] = 0.0
+            if space - thickness < standoff or low > lowered:
                 close += 1
+            most = max(most, low)
             least = min(least, space - thickness)
             m += found
             reach = min(reach, valid)
-        # Closer than the standoff to two fixtures: the tool may come as close to the farther one as
-        # it is to the nearer one, as between two walls of one fixture (`certified.walk`).
-        if standoff < numbers[at.STANDOFF] or close < 2:
+        # Closer than standoff and margin to two fixtures: the tool may come as close to the farther
+        # one as it is to the nearer one, as between two walls of one fixture (`certified.walk`).
+        # Margins are lowered first, by the same length.
+        if close < 2:
+            break
+        if most > lowered:
+            lowered = most
+            continue
+        if standoff < numbers[at.STANDOFF]:
             break
         standoff = least
         if not standoff > YIELD:
