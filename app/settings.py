@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from app import choices
@@ -268,7 +269,7 @@ class Options(Checked):
         if len(self.structures) > MOST:
             raise OptionError(f"structures are {len(self.structures)}: at most {MOST} are guarded")
 
-    @property
+    @cached_property
     def anatomy(self) -> tuple[Structure, ...]:
         """The settings of all structures: those of the mesh first, then of the further ones."""
         mesh = Structure(
@@ -285,8 +286,14 @@ class Options(Checked):
 
     @property
     def guards_tool(self) -> bool:
-        """Whether all parts of the instrument are guarded, and not only its tip."""
-        return self.guard == "tool" and self.rule == "certified"
+        """Whether any structure holds all parts of the instrument, and not only its tip."""
+        return self.rule == "certified" and any(
+            self.guard_of(own) == "tool" for own in self.anatomy if own.guarded
+        )
+
+    def guard_of(self, own: Structure) -> str:
+        """What is kept out of a structure, its own or as the session says: "tip" or "tool"."""
+        return own.guard or self.guard
 
 
 DECLARED = declared(Options)

@@ -173,8 +173,8 @@ class Inspector:
                 subject.surface,
                 subject.x,
                 subject.radius,
-                options.standoff + subject.margin,
-                options.tip_radius,
+                options.standoff,
+                options.tip_radius + subject.margin,  # as if the tool were so much thicker
                 MAX_TRIANGLES,
             )
         if subject.step is not None:

@@ -238,7 +238,7 @@ def _distances(shown: Moment) -> list[float]:
     found = []
     for own, surface in zip(options.anatomy, scene.surfaces, strict=True):
         gap = surface.nearest(p_tip)[0] - options.tip_radius
-        if options.guards_tool and own.guard != "tip":
+        if options.rule == "certified" and options.guard_of(own) == "tool":
             parts = gaps(boxes.of(surface), scene.arm, shown.telemetry.q, options.trocar)
             gap = min(gap, float(parts.min()))
         found.append(gap)
