@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from math import inf, nan
 from time import monotonic
@@ -18,9 +17,10 @@ from vf.fixtures import RULES, Fixture, MeshFixture
 from vf.planes import FloatArray, Planes, write_records
 from vf.qp import problem
 from vf.qp.active_set import left_over
-from vf.qp.solver import Solver, backend, check_solver
+from vf.qp.solver import Solver, backend
 from vf.rules.corridor import CorridorFixture
 from vf.selftest import check_kernels
+from vf.settings import Settings
 from vf.status import Status
 from vf.surface import Surface
 from vf.tick.block import Block
@@ -36,75 +36,6 @@ LOOK_AHEAD = 2.0
 # A solver is prepared for this many rows: few ticks have more after those that cannot bind are left
 # out.
 CAPACITY = 128
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What does not change from tick to tick.
-
-    Attributes:
-        dt: period of the control loop [s].
-        standoff: distance kept between tool and surface [m].
-        tip_radius: of the spherical cutter [m].
-        rotation_length: weighs rotation against translation [m/rad].
-        damping: λ, weighs joint motion [m²].
-        force_gain: haptic stiffness K [N/m].
-        force_cap: largest haptic force [N].
-        tip_speed: a tick moves the tip by tip_speed × dt at most [m/s]; inf: only the joints' own
-            speed limits count.
-        solver: one of `vf.SOLVERS`, for what the exact shortcuts do not settle.
-        guard: "tip", or "tool": every capsule of the arm's instrument (`arm.capsules`) too, against
-            the meshes whose rule is "certified". Other rules and corridors hold the tip only.
-        trocar: with guard "tool", the mesh is exempt for the shaft in a ball of this radius around
-            the remote centre, where it enters [m]; 0: nowhere. A radius up to the shaft's is none.
-
-    Raises:
-        ValueError: a value that is no number or out of its range, or an unknown solver or guard.
-    """
-
-    dt: float = 1e-3
-    standoff: float = 20e-6
-    tip_radius: float = 0.0
-    rotation_length: float = 0.05
-    damping: float = 1e-7
-    force_gain: float = 150.0
-    force_cap: float = 4.0
-    tip_speed: float = inf
-    solver: str = "osqp"
-    guard: str = "tip"
-    trocar: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_solver(self.solver)
-        if self.guard not in GUARDS:
-            raise ValueError(f"unknown guard {self.guard!r}: choose one of {', '.join(GUARDS)}")
-        for name, (low, high, unit) in RANGES.items():
-            value = getattr(self, name)
-            try:
-                # A float whatever kind of number came: kernels are compiled anew for any other.
-                number = float(value)
-            except (TypeError, ValueError):
-                number = nan
-            if not low <= number <= high:
-                raise ValueError(
-                    f"{name} must be a number from {low:g} to {high:g}{unit}, got {value!r}"
-                )
-            object.__setattr__(self, name, number)
-
-
-GUARDS = ("tip", "tool")
-# Lowest and highest value and the unit of each of the `Settings` that is a number.
-RANGES = {
-    "dt": (1e-6, 10.0, " s"),
-    "standoff": (1e-9, 1.0, " m"),
-    "tip_radius": (0.0, 1.0, " m"),
-    "rotation_length": (1e-6, 1e3, " m/rad"),
-    "damping": (1e-15, 1e3, " m²"),
-    "force_gain": (0.0, 1e6, " N/m"),
-    "force_cap": (0.0, 1e6, " N"),
-    "tip_speed": (1e-9, inf, " m/s"),
-    "trocar": (0.0, 1.0, " m"),
-}
 
 
 class Kinematics(Protocol):
@@ -152,13 +83,14 @@ class Controller:
         chain = getattr(arm, "chain", None)
         searches = [getattr(fixture, "search", None) for fixture in self.fixtures]
         parts = tip_alone(s.tip_radius)
-        if s.guard == "tool":
-            meshes = any(search is not None and search.kind == at.MESH for search in searches)
+        whole = [_guards_tool(fixture, s.guard) for fixture in self.fixtures]
+        if any(whole):
             middle = 0.5 * (np.asarray(arm.lower) + np.asarray(arm.upper))
-            parts = instrument(arm, s.tip_radius, s.trocar, middle, meshes)
+            parts = instrument(arm, s.tip_radius, s.trocar, middle, True)
         block = self._block = Block(n, chain, searches, parts)
         for f, fixture in enumerate(self.fixtures):
             block.searches[f, at.KEEPS] = fixture.certified
+            block.searches[f, at.TOOL] = whole[f]
         table, numbers = block.table, block.numbers
         reach = np.asarray(arm.velocity) * s.dt
         table[at.LOWEST], table[at.HIGHEST] = arm.lower, arm.upper
@@ -309,6 +241,9 @@ class Controller:
         first = 0
         for f, part in enumerate(parts):
             write_records(part, f, block.planes[first:])
+            margins = getattr(self.fixtures[f], "margins_at", None)
+            margin = 0.0 if margins is None else margins(part.triangles)
+            block.planes[first : first + len(part), at.KEEP] = s.standoff + margin
             first += len(part)
         block.words[at.COUNT] = count
         block.numbers[at.REACH] = min((part.radius for part in parts), default=radius)
@@ -363,6 +298,13 @@ _ANSWERS: dict[int, Callable[[Controller, FloatArray], None]] = {
     at.TRIED: Controller._place_tried,
     at.JUDGED: Controller._judge,
 }
+
+
+def _guards_tool(fixture: Fixture, guard: str) -> bool:
+    """Whether a fixture guards bodies beside the tip, where settings say `guard` of all."""
+    search = getattr(fixture, "search", None)
+    own = getattr(fixture, "guard", None) or guard
+    return search is not None and search.kind == at.MESH and own == "tool"
 
 
 def _check_limits(arm: Kinematics) -> None:

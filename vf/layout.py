@@ -21,6 +21,8 @@ PUSH = 13  # how far the plane pushed the tip back [m]
 LIMIT = 14  # while planes are chosen: a mesh point z is behind when n·z is below this [m], …
 BUMP = 15  # … of which this is for bumps [m]
 PLANE = 16
+# Once the planes of a fixture are chosen, in the place of BUMP:
+KEEP = BUMP  # distance to keep from what is behind the plane: standoff and margin [m]
 
 # The words of a block: counts …
 JOINTS = 0  # n
@@ -124,12 +126,16 @@ ORDER, SLIVERS, EDGES = 5, 6, 7  # addresses of (m,), (m,), (m, 3)
 WALLS, WALL_COUNT = 8, 9  # of a corridor: address of (w, corridor.WALL)
 FRAME = 10  # of a corridor: address of its axes (2, 3), its width and its hair
 KEEPS = 11  # 1: a checked step stays on its side
-SEARCH = 12
+NODE_MARGINS, OWN_MARGINS = 12, 13  # addresses of (k,), (m,), see `margins.Margins`
+VARIED = 14  # m, or 0: the margin is the same for the whole surface
+TOOL = 15  # 1: it guards the bodies of the instrument beside the tip
+SEARCH = 16
 
 # Numbers of a fixture.
 SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none
 WITHIN = 3  # 1: inside there, 0: outside
-SIDE = 4
+MARGIN = 4  # [m], where it is the same for the whole surface
+SIDE = 5
 
 # Numbers of a guarded point.
 ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`

@@ -112,7 +112,7 @@ class Block:
 
     def _searches(self, searches: Sequence[Search | None]) -> None:
         table: IntArray = np.zeros((len(searches), at.SEARCH), dtype=np.int64)
-        for row, search in zip(table, searches, strict=True):
+        for row, side, search in zip(table, self.sides, searches, strict=True):
             if search is None:
                 row[at.KIND] = at.GIVEN
                 continue
@@ -121,11 +121,14 @@ class Block:
             row[at.NODE_COUNT] = len(tree.nodes)
             row[at.TRIANGLES] = len(tree.corners)
             row[at.WALL_COUNT] = len(search.walls)
+            row[at.VARIED] = len(search.margins.own)
+            side[at.MARGIN] = search.margins.margin
             for word, array in (
                 (at.NODES, tree.nodes), (at.CORNERS, tree.corners),
                 (at.ORDER, tree.order), (at.SLIVERS, tree.errors),
                 (at.EDGES, search.edges), (at.WALLS, search.walls),
-                (at.FRAME, search.frame),
+                (at.FRAME, search.frame), (at.NODE_MARGINS, search.margins.highest),
+                (at.OWN_MARGINS, search.margins.own),
             ):  # fmt: skip
                 if not array.flags.c_contiguous:
                     raise ValueError("the arrays of a fixture's search must be contiguous")

@@ -7,10 +7,11 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import bytes_at, floats_at, integers_at, njit
-from vf.qp.problem import farthest, room, sagitta
+from vf.qp.problem import farthest, height, sagitta
 from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
+from vf.tree.axis import lowest
 
 
 @njit(cache=True)
@@ -47,60 +48,16 @@ def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
     """Write the planes of all fixtures for a tip at x (3,); False: Python has to compute them."""
-    fixtures = words[at.FIXTURES]
-    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
-    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
-    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
-    for f in range(fixtures):
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+    for f in range(words[at.FIXTURES]):
         if searches[f, at.KIND] == at.GIVEN:
             return False
-    radius, tip_radius = numbers[at.SEARCHED], numbers[at.TIP_RADIUS]
-    standoff = numbers[at.STANDOFF]
-    while True:
-        m = 0
-        reach = radius
-        close = 0
-        least = np.inf
-        for f in range(fixtures):
-            search = searches[f]
-            nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
-            corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
-            order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
-            slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
-            edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
-            if search[at.KIND] == at.MESH:
-                found, valid = walk(
-                    nodes, corners, order, slivers, edges, False, (x[0], x[1], x[2]), radius,
-                    standoff, tip_radius, EASE, planes, m, queue, polygons,
-                )  # fmt: skip
-            else:
-                walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
-                frame = numba.carray(floats_at(search[at.FRAME]), (8,))
-                found, valid = between(
-                    walls, frame[:6].reshape((2, 3)), frame[6], frame[7], nodes, corners, order,
-                    slivers, edges, x, radius, standoff, tip_radius, planes, m, queue, polygons,
-                )  # fmt: skip
-            if valid == 0.0:
-                # The tip is on the surface: `fixtures` decides that in Python.
-                return False
-            space = np.inf
-            for i in range(m, m + found):
-                planes[i, at.FIXTURE] = f
-                space = min(space, room(planes[i], x))
-            if space - tip_radius < standoff:
-                close += 1
-            least = min(least, space - tip_radius)
-            m += found
-            reach = min(reach, valid)
-        words[at.COUNT] = m
-        numbers[at.REACH] = reach
-        # Closer than the standoff to two fixtures: the tool may come as close to the farther one as
-        # it is to the nearer one, as between two walls of one fixture (`certified.walk`).
-        if standoff < numbers[at.STANDOFF] or close < 2:
-            return True
-        standoff = least
-        if not standoff > YIELD:
-            return True
+    words[at.COUNT], numbers[at.REACH], met = _search(
+        words, numbers, planes, 0, (x[0], x[1], x[2]), numbers[at.SEARCHED],
+        numbers[at.TIP_RADIUS], True,
+    )  # fmt: skip
+    # On a surface: `fixtures` decides that in Python.
+    return not met
 
 
 @njit(cache=True)
@@ -113,79 +70,140 @@ def search_bodies(words, numbers, planes, places, jacobians, guards, table):  # 
     While the tip is inside of something, bodies that meet the mesh are left out: they have to come
     out with it. Otherwise such a body is STUCK, and the tool holds.
     """
-    fixtures = words[at.FIXTURES]
-    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     bodies = numba.carray(integers_at(words[at.BODY_TABLE]), (words[at.BODIES], at.BODY))
-    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
-    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
     words[at.STUCK] = 0
     for b in range(words[at.BODIES]):
         first, second = bodies[b, at.FIRST], bodies[b, at.SECOND]
         _set_ball(numbers, jacobians, guards, table, first, second)
-        radius = guards[first, at.BALL]
+        radius, thickness = guards[first, at.BALL], guards[first, at.THICKNESS]
         start = words[at.COUNT]
-        reach = radius
+        m, reach = start, radius
         if not _in_port(places, guards, bodies[b]):
-            standoff = numbers[at.STANDOFF]
-            thickness = guards[first, at.THICKNESS]
             p, q = places[first], places[second]
-            while True:
-                m = start
-                reach = radius
-                close = 0
-                least = np.inf
-                for f in range(fixtures):
-                    search = searches[f]
-                    if search[at.KIND] != at.MESH:
-                        continue
-                    nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
-                    corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
-                    order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
-                    slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
-                    edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
-                    if first == second:
-                        found, valid = walk(
-                            nodes, corners, order, slivers, edges, False, (p[0], p[1], p[2]),
-                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
-                        )  # fmt: skip
-                    else:
-                        found, valid = walk(
-                            nodes, corners, order, slivers, edges, False,
-                            (p[0], p[1], p[2], q[0], q[1], q[2]),
-                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
-                        )  # fmt: skip
-                    if valid == 0.0:
-                        if words[at.INSIDE] > 0:
-                            continue
-                        words[at.STUCK] = 1
-                    space = np.inf
-                    for i in range(m, m + found):
-                        planes[i, at.FIXTURE] = f
-                        planes[i, at.CAPSULE] = bodies[b, at.NUMBER]
-                        planes[i, at.POINT] = first
-                        space = min(space, room(planes[i], p), room(planes[i], q))
-                    if space - thickness < standoff:
-                        close += 1
-                    least = min(least, space - thickness)
-                    m += found
-                    reach = min(reach, valid)
-                if standoff < numbers[at.STANDOFF] or close < 2:
-                    break
-                standoff = least
-                if not standoff > YIELD:
-                    break
-            count = m - start
+            if first == second:
+                m, reach, met = _search(
+                    words, numbers, planes, start, (p[0], p[1], p[2]), radius, thickness, False
+                )
+            else:
+                m, reach, met = _search(
+                    words, numbers, planes, start, (p[0], p[1], p[2], q[0], q[1], q[2]), radius,
+                    thickness, False,
+                )  # fmt: skip
+            if met and words[at.INSIDE] == 0:
+                words[at.STUCK] = 1
+        count = m - start
+        for i in range(start, m):
+            planes[i, at.CAPSULE] = bodies[b, at.NUMBER]
+            planes[i, at.POINT] = first
             if first != second:
-                for i in range(start, m):
-                    planes[i + count] = planes[i]
-                    planes[i + count, at.POINT] = second
-                m += count
-            words[at.COUNT] = m
+                planes[i + count] = planes[i]
+                planes[i + count, at.POINT] = second
+        words[at.COUNT] = m + count if first != second else m
         # As for the tip: the step ends within the motion sphere, its path within what was searched.
         whole = reach >= radius
         for end in (first, second):
             guards[end, at.PATH_LIMIT] = reach - numbers[at.BEYOND] if whole else reach
             guards[end, at.STEP_LIMIT] = min(reach, guards[first, at.STEP_RADIUS])
+
+
+@njit(cache=True)
+def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # type: ignore[no-untyped-def]
+    """Write the planes of all fixtures for one body, from row `start` on.
+
+    Args:
+        ends: of its axis, or the centre of a ball, see `certified.walk`.
+        radius: of the ball to search [m].
+        thickness: radius of the body [m].
+        tip: whether it is the tip, which corridors guard too.
+
+    Returns:
+        The row after the last plane, the radius they are valid in [m], and whether the body meets a
+        surface. The search for the tip ends there; a surface that another body meets has no planes
+        while the tip is inside of something, and a radius of 0 otherwise.
+    """
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
+    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
+    sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
+    standoff = numbers[at.STANDOFF]
+    lowered = 0.0
+    while True:
+        m = start
+        most = lowered
+        reach = radius
+        close = 0
+        least = np.inf
+        met = False
+        for f in range(fixtures):
+            search = searches[f]
+            nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
+            corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
+            order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
+            slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
+            edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
+            margin = 0.0
+            low = 0.0
+            if search[at.KIND] == at.MESH:
+                if not tip and search[at.TOOL] == 0:
+                    continue
+                margin = sides[f, at.MARGIN]
+                nodes_too = search[at.NODE_COUNT] if search[at.VARIED] > 0 else 0
+                highest = numba.carray(floats_at(search[at.NODE_MARGINS]), (nodes_too,))
+                own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))
+                found, valid, low = walk(
+                    nodes, corners, order, slivers, edges, margin, highest, own, lowered, False,
+                    ends, radius, standoff, thickness, EASE, planes, m, queue, polygons,
+                )  # fmt: skip
+            elif tip and len(ends) == 3:
+                walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
+                frame = numba.carray(floats_at(search[at.FRAME]), (8,))
+                found, valid = between(
+                    walls, frame[:6].reshape((2, 3)), frame[6], frame[7], nodes, corners, order,
+                    slivers, edges, ends[:3], radius, standoff, thickness, planes, m, queue,
+                    polygons,
+                )  # fmt: skip
+            else:
+                continue
+            if valid == 0.0:
+                met = True
+                if tip:
+                    return m, 0.0, met
+                if words[at.INSIDE] > 0:
+                    continue
+            space = np.inf
+            for i in range(m, m + found):
+                planes[i, at.FIXTURE] = f
+                planes[i, at.KEEP] = numbers[at.STANDOFF] + planes[i, at.PUSH]
+                space = min(space, _room(planes[i], ends) - max(planes[i, at.PUSH] - low, 0.0))
+                planes[i, at.PUSH] = 0.0
+            if space - thickness < standoff or low > lowered:
+                close += 1
+            most = max(most, low)
+            least = min(least, space - thickness)
+            m += found
+            reach = min(reach, valid)
+        # Closer than standoff and margin to two fixtures: the tool may come as close to the farther
+        # one as it is to the nearer one, as between two walls of one fixture (`certified.walk`).
+        # Margins are lowered first, by the same length.
+        if close < 2:
+            break
+        if most > lowered:
+            lowered = most
+            continue
+        if standoff < numbers[at.STANDOFF]:
+            break
+        standoff = least
+        if not standoff > YIELD:
+            break
+    return m, reach, met
+
+
+@njit(cache=True)
+def _room(plane, ends):  # type: ignore[no-untyped-def]
+    """Least distance of the ends to the plane through the FOOT of a plane, before it was moved."""
+    nx, ny, nz = plane[at.NORMAL], plane[at.NORMAL + 1], plane[at.NORMAL + 2]
+    return lowest(nx, ny, nz, ends) - height(plane, plane[at.FOOT : at.FOOT + 3])
 
 
 @njit(cache=True)

@@ -92,7 +92,8 @@ class Child:
         self._channel = channel
         self._inbox = Inbox(Slot(memory.data[: Slot.SIZE]))
         self._queue = Queue(memory.data[Slot.SIZE :])
-        self._surface: vf.Surface | None = None
+        self._surfaces: list[vf.Surface] = []  # those of the newest plant
+        self._coming: list[vf.Surface] = []  # those of the one that is announced
         self._loop: ControlLoop | None = None
         self._told: str = ""  # why to end
 
@@ -129,18 +130,21 @@ class Child:
         if kind == "warm":
             vf.Controller(robots.load("point"), [])  # compiles the kernels, or loads them
         elif kind == "surface":
-            assert fd is not None
-            self._surface = surfaces.attach(fd, *rest)
+            known = fd is None
+            self._coming.append(
+                self._surfaces[rest[0]] if known else surfaces.attach(int(fd or 0), *rest)
+            )
         elif kind == "plant":
             self._build(*rest)
         elif kind == "start":
             self._start(*rest)
 
     def _build(self, number: int, data: bytes) -> None:
-        assert self._surface is not None
+        if self._coming:
+            self._surfaces, self._coming = self._coming, []
         try:
             with Gaps(self._loop):
-                description = surfaces.unpack(data, self._surface)
+                description = surfaces.unpack(data, self._surfaces)
                 plant = assemble(description, robots.load(description.robot))
         except Exception as error:
             log.exception("a plant could not be built")

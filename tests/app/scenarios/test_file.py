@@ -193,7 +193,7 @@ POINT = {"time": 0.0, "at": "0mm,0mm,0mm"}
         (changed(format=True), '"format" must be 1'),
         (changed(format="1"), '"format" must be 1'),
         ('{"format": 1, "format": 1}', 'the key "format" is there twice'),
-        (changed(colour="red"), 'unknown key "colour": choose from format, name, about, mesh'),
+        (changed(paint="red"), 'unknown key "paint": choose from format, name, about, mesh'),
         (changed(host="0.0.0.0"), 'unknown key "host": choose from'),
         ('{"format": 1, "name": "x"}', '"about" is missing'),
         (changed(name=3), '"name": 3: must be a text'),
