@@ -15,10 +15,14 @@ from meshes import frames
 from meshes.anatomy.colours import Colour
 from meshes.anatomy.maps import Label, Part, Progress, is_map, read_map
 from meshes.anatomy.smooth import label_surface
+from meshes.builtin import temporal_bone
 from meshes.errors import MeshError
 from meshes.formats import FORMATS, kind
 from meshes.load import read
 from meshes.volume.files import FORMATS as VOLUMES
+
+SETS = {temporal_bone.NAME: temporal_bone.members}
+"""Built-in sets of structures by name."""
 
 _MOST_LISTED = 20
 
@@ -85,7 +89,9 @@ def structures(
     of exactly the label's voxels, and is smoothed within 0.45 voxels of their border; volumes are
     those of the voxels. A mesh file, or a mesh of the catalogue, gives one of its name (see
     :func:`meshes.arrays`); a folder one a mesh file, in order of name. Files of a folder that say
-    different frames are all brought to RAS.
+    different frames are all brought to RAS. The set "temporal-bone" is a drilled mastoid with its
+    nerves, ossicles, canals, sinus and dura, each with a margin; for a file of that name write
+    ``./temporal-bone``.
 
     Args:
         chosen: numbers or names of labels, or names of structures; (): all. A name that is a number
@@ -99,6 +105,8 @@ def structures(
     """
     say = progress or (lambda _share, _text: None)
     wanted = tuple(chosen)
+    if path in SETS:
+        return _of_set(str(path), wanted, say)
     file = Path(path)
     if is_map(file):
         return _of_map(file, wanted, say, table, spacing)
@@ -172,6 +180,20 @@ def _chosen(one: int | str, every: Sequence[Label], file: str) -> Label:
     raise MeshError(f"{file}: there is no label {one!r}{hint}: choose of {some}{more}")
 
 
+def _of_set(name: str, wanted: Sequence[int | str], say: Progress) -> tuple[Structure, ...]:
+    members = SETS[name]()
+    for given in wanted:
+        _check_name(given, list(members), name)
+    kept = [one for one in members.values() if not wanted or one.name in wanted]
+    found = []
+    for k, one in enumerate(kept):
+        say(k / len(kept), f"making {one.name}")
+        vertices, faces = one.make()
+        found.append(Structure(one.name, one.colour, vertices, faces, margin=one.margin))
+    say(1.0, f"{len(found)} structures")
+    return tuple(found)
+
+
 def _of_file(path: str | os.PathLike[str], unit: str | None) -> Structure:
     found = read(path, unit=unit)
     name = str(path)
@@ -241,9 +263,13 @@ def _in_one_frame(found: tuple[Structure, ...], folder: str) -> tuple[Structure,
 def _picked(
     found: Sequence[Structure], wanted: Sequence[int | str], source: str
 ) -> Sequence[Structure]:
-    by_name = {one.name: one for one in found}
     for name in wanted:
-        if name not in by_name:
-            there = ", ".join(list(by_name)[:_MOST_LISTED])
-            raise MeshError(f"{source}: there is no structure {name!r}: choose of {there}")
+        _check_name(name, [one.name for one in found], source)
     return [one for one in found if not wanted or one.name in wanted]
+
+
+def _check_name(name: int | str, there: Sequence[str], source: str) -> None:
+    """Raise `MeshError` for a name that no structure has."""
+    if name not in there:
+        some = ", ".join(there[:_MOST_LISTED])
+        raise MeshError(f"{source}: there is no structure {name!r}: choose of {some}")
