@@ -37,6 +37,7 @@ SCENARIOS = (
     "push-on-the-skull", "slide-into-the-orbit", "thin-plate-both-sides", "valley-of-the-gear",
     "saddle", "unclean-mesh-paper", "unclean-mesh-certified", "million-triangles",
     "through-the-fontanelle", "keyhole", "around-the-corner", "around-the-corner-tip-only",
+    "temporal-bone",
 )  # fmt: skip
 SKULLS = ("skull", "skull-coarse", "skull-fine")
 """Meshes of the cutting experiments."""

@@ -261,12 +261,21 @@ def plant(scene: Scene, options: Options) -> Plant:
 def settled(options: Options, scene: Scene) -> Options:
     """The options in a scene: with an entry for each of its structures, and the mesh it has."""
     built = scene.options
-    same = [one.source for one in options.structures] == [one.source for one in built.structures]
-    if options.mesh != choices.NO_MESH:
-        return options if same else replace(options, structures=built.structures)
-    # The first structure is the mesh.
-    taken = ("mesh", "unit", "margin", "guarded", "colour", "opacity", "structures")
-    return replace(options, **{name: getattr(built, name) for name in taken})
+    if options.mesh == choices.NO_MESH:  # the first structure is the mesh
+        taken = ("mesh", "unit", "margin", "guarded", "colour", "opacity", "structures")
+        return replace(options, **{name: getattr(built, name) for name in taken})
+    if [one.source for one in options.structures] != [one.source for one in built.structures]:
+        return replace(options, structures=built.structures)
+    filled = [
+        replace(
+            own,
+            name=own.name or found.name,
+            colour=own.colour or found.colour,
+            margin=found.margin if own.margin is None else own.margin,
+        )
+        for own, found in zip(options.structures, built.structures, strict=True)
+    ]
+    return replace(options, structures=tuple(filled))
 
 
 @cache

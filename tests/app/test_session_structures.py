@@ -232,7 +232,7 @@ def test_a_scenario_has_its_structures_in_a_file(folder: Path) -> None:
     with pytest.raises(ValueError, match=r'"structures".*unknown mesh "cub": choose one of'):
         loads(text.replace('"dura.stl"', '"cub"'), folder)
     with pytest.raises(ValueError, match=r'"structures".*unknown key'):
-        loads(text.replace('"colour"', '"paint"'), folder)
+        loads(text.replace('"colour": "#010203"', '"paint": "red"'), folder)
 
 
 def test_a_scenario_of_a_session_is_staged_in_another(folder: Path) -> None:

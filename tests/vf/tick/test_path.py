@@ -12,7 +12,7 @@ import pytest
 import robots
 import vf
 from tests.support import naive
-from vf.controller import RANGES
+from vf.settings import RANGES
 from vf.qp import problem
 
 ARMS = ("point", "psm", "panda", "ur5")
