@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.kinds import SEEDS, File, Length, Maybe, Number, OneOf, Place, Speed, Turn, Whole
+from app.kinds import SEEDS, File, Length, Maybe, Number, OneOf, Place, Speed, Text, Turn, Whole
 from app.options import Checked, option
 from app.words import OptionError
 
@@ -33,6 +33,8 @@ class Motion(Checked):
         period: of a breath or beat, or the duration of a shift or knock [s]; None: as in `PERIODS`.
         after: when it begins [s].
         file: of *poses*, see `app.motion.poses`.
+        of: name of the structure that it moves; None: all of them as one, about the middle of
+            the scene's mesh.
 
     Raises:
         OptionError: an invalid value, *poses* without a file, or a file with another kind.
@@ -50,6 +52,7 @@ class Motion(Checked):
     )
     after: float = option(Number(0.0, 1e5, "s"), 0.0, "When it begins.")
     file: str | None = option(Maybe(File(metavar="FILE")), None, "Of poses: a table (CSV).")
+    of: str | None = option(Maybe(Text(100)), None, "Name of the structure it moves; else all.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -98,3 +101,8 @@ class Tracker(Checked):
     period: float = option(Number(0.1, 60.0, "s"), 4.0, "Period of the predictor.")
     stale: float = option(Number(0.01, 60.0, "s"), 0.5, "Age from which the tool holds.")
     seed: int = option(Whole(*SEEDS), 0, "Of noise and drop-outs.")
+
+    @property
+    def most(self) -> float:
+        """The largest margin that the guard adds: that of a sighting as old as it may be [m]."""
+        return self.bound * self.stale + 3.0 * self.noise

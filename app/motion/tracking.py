@@ -60,6 +60,8 @@ class Tracking:
         self._tracker = tracker
         self._sightings: dict[int, Sighting | None] = {}
         self._worst: dict[int, float] = {}
+        self._errors: tuple[int, float | None] = (-1, None)  # of the last sighting asked for
+        self._kept = floor((tracker.period + tracker.stale + tracker.latency) * tracker.rate) + 1000
 
     def sighting(self, number: int) -> Sighting | None:
         """What was seen at number / rate; None: it was lost."""
@@ -76,7 +78,15 @@ class Tracking:
                 pose = self._truth(time)
                 seen = Sighting(pin.SE3(pose.rotation, pose.translation + error), time, number)
             self._sightings[number] = seen
+            if len(self._sightings) > 3 * self._kept:
+                self._forget(number)
         return self._sightings[number]
+
+    def _forget(self, last: int) -> None:
+        """Drop what is no longer needed around a sighting; it can be computed again."""
+        for known in (self._sightings, self._worst):
+            for number in [number for number in known if abs(number - last) > self._kept]:
+                del known[number]
 
     def newest(self, time: float) -> Sighting | None:
         """The last sighting that has arrived at a time [s]."""
@@ -91,12 +101,25 @@ class Tracking:
 
     def belief(self, time: float) -> Belief:
         """Where the structure is believed to be at a time ≥ 0 [s]."""
+        return self._believed(time, self.newest(time))
+
+    def during(self, start: float, end: float) -> tuple[Belief, Belief]:
+        """The beliefs at the start and at the end of a tick, both by what is known at its end.
+
+        So a sighting that arrives moves the belief between two ticks, not during one.
+        """
+        seen = self.newest(end)
+        first = self.newest(start)
+        if seen is not None and first is not None and first.number > seen.number:
+            seen = first  # backwards in time
+        return self._believed(start, seen), self._believed(end, seen)
+
+    def _believed(self, time: float, seen: Sighting | None) -> Belief:
         tracker = self._tracker
-        seen = self.newest(time)
         if seen is None:
-            # Before the first sighting arrives: where it rests, which is where it is then.
+            # Before the first sighting arrives: where it was at first.
             far = tracker.bound * time
-            return Belief(pin.SE3.Identity(), inf, far, far, time > tracker.stale)
+            return Belief(self._truth(0.0), inf, far, far, time > tracker.stale)
         age = time - seen.time
         known = LARGEST_ERROR * tracker.noise
         pose, unpredicted = seen.pose, tracker.bound * age + known
@@ -125,6 +148,11 @@ class Tracking:
         None: less than a period has been predicted. What was seen is compared with what was seen a
         period before.
         """
+        if self._errors[0] != last:
+            self._errors = last, self._find_error(last)
+        return self._errors[1]
+
+    def _find_error(self, last: int) -> float | None:
         tracker = self._tracker
         first = last - floor(tracker.period * tracker.rate)
         worst, count = 0.0, 0

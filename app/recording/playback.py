@@ -16,6 +16,7 @@ import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
 from app.control.watch import Crossing
+from app.motion.movement import Movement, checksum
 from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
@@ -78,6 +79,7 @@ def build_scenes(
             and as_json(place.options) == as_json(like.options)
             and [place.checksum, *(one.checksum for one in place.structures)]
             == [surface.checksum for surface in like.surfaces]
+            and place.poses == checksum(like.courses)
             and place.start.tobytes() == like.start.tobytes()
         )
         if same:
@@ -101,6 +103,7 @@ class Player:
         self._scenes = tuple(built)
         self._index = -1
         self._plant: Plant | None = None
+        self._movement: Movement | None = None
 
     def __len__(self) -> int:
         return len(self.recording.rows)
@@ -115,6 +118,7 @@ class Player:
         if self._plant is None or self._index != order["plant"]:
             self._index = int(order["plant"])
             self._plant = scenes.plant(scene, options)
+            self._movement = self._plant.movement()
         q = recording.joints(row)
         target = None
         if noted["driven"]:
@@ -135,6 +139,9 @@ class Player:
             paused=bool(order["paused"]),
             autopilot=bool(order["autopilot"]),
             stale=bool(noted["stale"]),
+            phase=float(noted["phase"]),
+            phase_before=self._phase_before(row),
+            lost=bool(noted["lost"]),
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
         force = np.zeros(3) if step is None else step.force
@@ -146,7 +153,11 @@ class Player:
         arm, controller = self._plant.arm, self._plant.controller
         noted = self.recording.rows[row]
         before = self._before(row, q)
-        step = controller.step(before, arm.tip(before) if target is None else target)
+        motions = None
+        if self._movement is not None and self._movement.moves:
+            told = self._movement.during(self._phase_before(row), float(noted["phase"]))
+            motions = self._plant.motions(told.motions)
+        step = controller.step(before, arm.tip(before) if target is None else target, motions)
         return replace(
             step,
             q=q,
@@ -156,16 +167,26 @@ class Player:
             distance=float(noted["distance"]),
         )
 
+    def _phase_before(self, row: int) -> float:
+        """The phase before a row: that of the row before, or 0 after a reset or a new scene."""
+        if self._jumped(row):
+            return 0.0
+        rows = self.recording.rows
+        return float(rows["phase"][row - 1]) if row else self.recording.state.phase
+
     def _before(self, row: int, q: np.ndarray) -> np.ndarray:
         """Joints before the tick of a row; those after it if a reset or a new scene moved them."""
+        return q if self._jumped(row) else self.recording.joints(row - 1)
+
+    def _jumped(self, row: int) -> bool:
+        """Whether a reset or a new scene came before the tick of a row."""
         rows, orders = self.recording.rows, self.recording.orders
         now = orders[rows["order"][row]]
         then = orders[rows["order"][row - 1] if row else 0]
         plants = self.recording.plants
-        moved = (
+        return bool(
             now["resets"] != then["resets"] or plants[now["plant"]][0] != plants[then["plant"]][0]
         )
-        return q if moved else self.recording.joints(row - 1)
 
 
 class Transport:
