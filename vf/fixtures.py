@@ -41,7 +41,11 @@ class Fixture(Protocol):
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
     ) -> Planes:
-        """Planes with n·x ≥ o for a tip of `tip_radius` centred at x (3,), base frame [m]."""
+        """Planes with n·x ≥ o for a tip of `tip_radius` centred at x (3,) [m].
+
+        In the arm's base frame, or for a fixture that moves in the frame of that (`vf.Motion`); so
+        are the points of the other two methods.
+        """
         ...
 
     def inside(self, x: FloatArray) -> bool:
@@ -63,7 +67,7 @@ class MeshFixture:
     is inside of the anatomy margins do not count.
 
     Args:
-        surface: the anatomy, in the arm's base frame.
+        surface: the anatomy, in the arm's base frame, or in the frame that a `vf.Motion` moves.
         rule: "certified", "paper" (Conditions 1–3), "all" (every face plane), "off", "nearest" (one
             plane at the nearest point) or "sdf" (one plane, of a sampled distance field).
         radius: of the motion sphere [m], None: as far as the arm can go in a tick.

@@ -73,6 +73,7 @@ class Block:
         self._part(at.POLYGONS, 2, CORNERS, 3)
         self.sides = self._part(at.SIDES, len(searches), at.SIDE)
         self.sides[:] = np.nan
+        self.motions = self._part(at.MOTIONS, len(searches), at.MOTION)
         self._searches(searches)
         self._point(at.GUARDS, guarded.guards)
         self._point(at.BODY_TABLE, guarded.bodies)
