@@ -234,6 +234,11 @@ class Controller:
             moves.append(motion is not None)
             if motion is not None:
                 block.motions[f, : at.SPIN] = motion.record
+                block.motions[f, at.GROWTH] = motion.growth
+            margins = getattr(self.fixtures[f], "margins", None)
+            if margins is not None:
+                more = 0.0 if motion is None else motion.margin
+                block.sides[f, at.MARGIN] = margins.margin + more
         if moves != self._moved:
             block.searches[:, at.MOVES] = moves
             block.words[at.MOVING] = any(moves)

@@ -152,7 +152,8 @@ TO = 12
 SPIN = 24
 DRIFT = 25
 MORE = 26  # by how much the ball to search for the tip is larger in its frame [m]
-MOTION = 27
+GROWTH = 27  # of its margin since the last tick [m]
+MOTION = 28
 
 # Numbers of a guarded point.
 ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`

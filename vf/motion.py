@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from vf.planes import LARGEST, FloatArray, Planes
+from vf.planes import LARGEST, FloatArray, Planes, checked_length
 
 # A rotation may be off orthonormal by this; it is made orthonormal where it is off by more than
 # rounding.
@@ -28,17 +28,24 @@ class Motion:
 
     Args:
         start, end: T_base_structure at the start and at the end of the tick.
+        margin: added to the margins of the fixture in this tick [m], as for a structure whose
+            place is known to within that length. The certified rule alone uses it.
+        growth: of the margin since the last tick [m]: the tool is led out by that much faster.
 
     Raises:
-        ValueError: not a pose, not finite, too far from the base, its rotation is not one, or from
-            start to end it turns by 3 rad or more.
+        ValueError: not a pose, not finite, too far from the base, its rotation is not one, from
+            start to end it turns by 3 rad or more, or margin or growth is no length.
     """
 
-    __slots__ = ("record",)
+    __slots__ = ("growth", "margin", "record")
 
     record: FloatArray  # (24,) rows of the rotation, then the translation, at start and end
+    margin: float
+    growth: float
 
-    def __init__(self, start: pin.SE3, end: pin.SE3) -> None:
+    def __init__(
+        self, start: pin.SE3, end: pin.SE3, margin: float = 0.0, growth: float = 0.0
+    ) -> None:
         record = np.concatenate([_numbers("start", start), _numbers("end", end)])
         R0, R1 = record[:9].reshape(3, 3), record[12:21].reshape(3, 3)
         turn = float(np.arccos(np.clip(0.5 * (np.sum(R0 * R1) - 1.0), -1.0, 1.0)))
@@ -48,6 +55,8 @@ class Motion:
             )
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
+        object.__setattr__(self, "margin", checked_length("margin", margin))
+        object.__setattr__(self, "growth", checked_length("growth", growth))
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("a Motion does not change: make another")
@@ -61,13 +70,17 @@ class Motion:
         return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:].copy())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Motion) and bool(np.array_equal(self.record, other.record))
+        return (
+            isinstance(other, Motion)
+            and (self.margin, self.growth) == (other.margin, other.growth)
+            and bool(np.array_equal(self.record, other.record))
+        )
 
     def __hash__(self) -> int:
-        return hash(self.record.tobytes())
+        return hash((self.record.tobytes(), self.margin, self.growth))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Motion, (self.start, self.end)
+        return Motion, (self.start, self.end, self.margin, self.growth)
 
     def __repr__(self) -> str:
         return f"Motion({self.record[9:12].tolist()} → {self.record[21:].tolist()} m)"

@@ -93,8 +93,9 @@ class Movement:
                 continue
             first, last = self._tracked[key].during(start, end)
             stale |= last.stale
-            margin = max(self._margin(first), self._margin(last))
-            made[key] = vf.Motion(first.pose, last.pose, margin=margin)
+            low, high = self._margin(first), self._margin(last)
+            margin, growth = max(low, high), max(high - low, 0.0)
+            made[key] = vf.Motion(first.pose, last.pose, margin, growth)
         motions = [None if course is None else made[id(course)] for course in self._courses]
         return Guarded(tuple(motions), stale)
 
