@@ -144,6 +144,14 @@ class Session(Driving):
         return self._watch.crossing
 
     @property
+    def contacts(self) -> int:
+        """Number of ticks, since then, in which the tip came to meet what is guarded, or crossed.
+
+        Of structures that move: where they truly are.
+        """
+        return self._watch.contacts
+
+    @property
     def unwatched(self) -> int:
         """Number of ticks that were not tested for a crossing; 0 in normal operation."""
         return self._watch.missed

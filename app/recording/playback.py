@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -15,43 +15,14 @@ import robots
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
-from app.control.watch import Crossing
 from app.motion.movement import Movement, checksum
 from app.recording import rerun
 from app.recording.format import Recording
+from app.recording.moment import Moment, places_at
 from app.recording.write import as_json
 from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.scene import Progress, Scene
-from app.settings import Options
-
-
-@dataclass(frozen=True)
-class Moment:
-    """All that the view draws: the present state of a session, or that of a row of a recording.
-
-    Attributes:
-        scene, options: in force; the telemetry may still be of the previous scene.
-        telemetry: the tick.
-        clutched: whether the clutch is pressed.
-        force: (3,) on the operator's hand [N].
-        handle: pose of the operator's handle, base frame; None in a recording.
-        crossing: where the tip crossed the mesh of this scene; None: nowhere, or unknown.
-    """
-
-    scene: Scene
-    options: Options
-    telemetry: Telemetry
-    clutched: bool
-    force: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    handle: pin.SE3 | None = None
-    crossing: Crossing | None = None
-
-    @property
-    def tip(self) -> pin.SE3:
-        """Pose of the tool's tip, base frame; before the first tick where it starts."""
-        step = self.telemetry.step
-        return self.scene.T_base_start if step is None else step.tip
 
 
 def build_scenes(
@@ -145,7 +116,9 @@ class Player:
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
         force = np.zeros(3) if step is None else step.force
-        return Moment(scene, seen, telemetry, bool(order["clutch"]), force)
+        assert self._movement is not None
+        places = places_at(self._movement, telemetry.phase)
+        return Moment(scene, seen, telemetry, bool(order["clutch"]), force, places=places)
 
     def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
         """The step of a row, from the joints before it."""

@@ -15,7 +15,7 @@ import viser
 import meshes
 import robots
 import vf
-from app.recording.playback import Moment
+from app.recording.moment import Moment
 from app.scene.library import Library
 from app.session import Session
 from app.settings import DECLARED, Options, number

@@ -14,7 +14,7 @@ import numpy as np
 import viser
 
 import meshes
-from app.recording.playback import Moment
+from app.recording.moment import Moment
 from app.scenarios.file import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import present, stage

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
 import vf
-from app.control.engine import guarded
-from app.recording.playback import Moment
+from app.recording.moment import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
 from app.view.drawing import nodes
@@ -96,11 +96,12 @@ class FixtureDrawing(Part):
         if step is not None:
             p_tip = np.asarray(step.tip.translation)
             scene = shown.scene
-            around = guarded(shown.options, scene.surfaces)
+            around = shown.guarded
             self.draw(
                 p_tip, step.radius, step.planes, step.multipliers,
-                [surface for _, surface in around], scene.arm.capsules,
-                [str(own.name) for own, _ in around] if scene.structures else (),
+                [one.surface for one in around], scene.arm.capsules,
+                [str(one.own.name) for one in around] if scene.structures else (),
+                [one.believed for one in around],
             )  # fmt: skip
 
     def draw(
@@ -112,6 +113,7 @@ class FixtureDrawing(Part):
         surfaces: Sequence[vf.Surface],
         capsules: Sequence[Capsule] = (),
         names: Sequence[str] = (),
+        poses: Sequence[pin.SE3 | None] = (),
     ) -> None:
         """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m].
 
@@ -119,6 +121,7 @@ class FixtureDrawing(Part):
             surfaces: those that the planes are of, by fixture.
             capsules: those of the arm; without them all planes are the tip's.
             names: of the surfaces, if there are several.
+            poses: of the surfaces, as the guard believes; None: it rests. Empty: all do.
         """
         self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
@@ -126,7 +129,7 @@ class FixtureDrawing(Part):
             self._sphere.scale = float(to_view(radius))
         chosen = chosen_planes(planes, p_tip, radius)
         self._draw_planes(p_tip, radius, planes, multipliers, chosen, capsules, names)
-        self._draw_triangles(radius, planes, surfaces, chosen)
+        self._draw_triangles(radius, planes, surfaces, chosen, poses)
 
     def hide(self) -> None:
         """Hide everything until the next `draw`."""
@@ -231,8 +234,9 @@ class FixtureDrawing(Part):
         planes: vf.Planes,
         surfaces: Sequence[vf.Surface],
         chosen: NDArray[np.intp],
+        poses: Sequence[pin.SE3 | None],
     ) -> None:
-        chosen, corners = _triangles(planes, surfaces, chosen)
+        chosen, corners = _triangles(planes, surfaces, chosen, poses)
         shown = self.show_triangles and not (self.suppressed or self.inspected)
         lift = 0.01 * radius  # along the normals, clear of the mesh's own triangles [m]
         normals = planes.normals[chosen][:, None, :]
@@ -262,7 +266,10 @@ def fixture_of(planes: vf.Planes, k: int) -> int:
 
 
 def _triangles(
-    planes: vf.Planes, surfaces: Sequence[vf.Surface], chosen: NDArray[np.intp]
+    planes: vf.Planes,
+    surfaces: Sequence[vf.Surface],
+    chosen: NDArray[np.intp],
+    poses: Sequence[pin.SE3 | None] = (),
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Those of the chosen planes that are of triangles, and their corners (k, 3, 3).
 
@@ -273,7 +280,9 @@ def _triangles(
         fixture, triangle = fixture_of(planes, k), int(planes.triangles[k])
         if fixture < len(surfaces) and 0 <= triangle < len(surfaces[fixture].faces):
             rows.append(k)
-            corners.append(surfaces[fixture].vertices[surfaces[fixture].faces[triangle]])
+            shape = surfaces[fixture].vertices[surfaces[fixture].faces[triangle]]
+            pose = poses[fixture] if fixture < len(poses) else None
+            corners.append(shape if pose is None else shape @ pose.rotation.T + pose.translation)
     return np.array(rows, dtype=np.intp), np.array(corners).reshape(-1, 3, 3)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import viser
 
 from app.view.palette import Rgb
+from app.view.units import pose_to_view
 
 
 def mesh(api: viser.SceneApi, name: str, color: Rgb, **more: Any) -> viser.MeshHandle:
@@ -57,6 +59,12 @@ def ball(api: viser.SceneApi, name: str, color: Rgb) -> viser.IcosphereHandle:
     return api.add_icosphere(
         name, radius=1.0, color=color, cast_shadow=False, receive_shadow=False, visible=False
     )
+
+
+def place(node: viser.SceneNodeHandle | None, pose: pin.SE3 | None) -> None:
+    """Put a node whose geometry is in the base frame where a pose takes it; None: where it is."""
+    if node is not None:
+        node.wxyz, node.position = pose_to_view(pin.SE3.Identity() if pose is None else pose)
 
 
 def add_lights(api: viser.SceneApi) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import vf
 from app.control.engine import guarded
 from app.control.messages import Telemetry
-from app.recording.playback import Moment
+from app.recording.moment import Moment
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
@@ -40,6 +40,10 @@ _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-sof
 _INTRO = (
     f"<div style='{_NOTE}'>Colours every triangle in the motion sphere by the condition of "
     "the paper that it meets. Click one on the anatomy, or step through them.</div>"
+)
+_MOVING = (
+    f"<div style='{_NOTE}'>The inspector explains anatomy that rests; in this scene structures "
+    "move.</div>"
 )
 
 
@@ -71,6 +75,7 @@ class InspectorTab(Part):
         self._case: figures.Case | None = None
         self._surface = self._scene.surface  # under the probe
         self._probe_at = np.zeros(3)  # replaced as a whole
+        self._rests = all(course is None for course in self._scene.courses)
         self._rule = RULES[0]
         with context.left.add_tab("Inspector"):
             self._controls(context.server.gui)
@@ -83,6 +88,10 @@ class InspectorTab(Part):
         self._surface = scene.surface
         self._near.hide()
         self._drawn = self._step = None
+        self._rests = all(course is None for course in scene.courses)
+        if not self._rests and self._on:
+            self._context.server.scene.remove_click_callback(self._clicked)
+            self._on = False
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         telemetry = shown.telemetry
@@ -123,7 +132,12 @@ class InspectorTab(Part):
 
     def read_out(self, shown: Moment) -> None:
         self._freeze.value = self._exploring
-        self._freeze.disabled = self._cases.disabled = not self._context.source.live
+        live = self._context.source.live and self._rests
+        self._freeze.disabled = self._cases.disabled = not live
+        self._inspect.disabled = not self._rests
+        if not self._rests:
+            self._inspect.value = False
+        self._intro.content = _INTRO if self._rests else _MOVING
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
         self._intro.visible = not self._on
@@ -260,7 +274,7 @@ class InspectorTab(Part):
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         scene = self._context.server.scene
-        if on == self._on:
+        if on == self._on or (on and not self._rests):
             return
         if on:
             scene.on_click()(self._clicked)  # type: ignore[arg-type]
@@ -302,7 +316,7 @@ class InspectorTab(Part):
             self._rule = rule
 
     def _explore(self, client: viser.ClientHandle, on: bool) -> None:
-        if on == self._exploring:
+        if on == self._exploring or (on and not self._rests):
             return
         if not on:
             self._stop_exploring()
@@ -316,7 +330,7 @@ class InspectorTab(Part):
         if name != HERE and name not in figures.CASES:
             return
         if not self._exploring:
-            if name == HERE:
+            if name == HERE or not self._rests:
                 return
             self._start_exploring(client)
         if name == HERE:

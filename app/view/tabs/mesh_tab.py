@@ -14,8 +14,8 @@ import viser
 
 import meshes
 from app.files import size
+from app.recording.moment import Moment
 from app.recording.outline import outline
-from app.recording.playback import Moment
 from app.refused import Refused
 from app.scene import worker
 from app.scene.library import Kept

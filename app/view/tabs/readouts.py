@@ -38,6 +38,23 @@ _WATCHDOG = (
 
 
 @dataclass(frozen=True)
+class Motion:
+    """Read-outs of structures that move.
+
+    Attributes:
+        contacts: ticks in which the tip met them where they truly are; None: not known.
+        tracked: whether the guard knows of them by a tracker.
+        margin: added to their margins for what is not known [m].
+        age: since the oldest of them was last seen [s]; inf: one was not seen yet.
+    """
+
+    contacts: int | None
+    tracked: bool = False
+    margin: float = 0.0
+    age: float = 0.0
+
+
+@dataclass(frozen=True)
 class Extras:
     """What `app.view.tabs.measuring` adds to the telemetry.
 
@@ -52,6 +69,7 @@ class Extras:
         ended: why the control loop ended by itself; empty: it did not.
         parts: names of the arm's capsules.
         structures: where the scene has several, names of those that are guarded, by fixture.
+        motion: where structures move; None: none does.
     """
 
     in_sphere: int
@@ -64,6 +82,7 @@ class Extras:
     ended: str = ""
     parts: tuple[str, ...] = ()
     structures: tuple[str, ...] = ()
+    motion: Motion | None = None
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -75,6 +94,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
     else:
         rows += [
             *_distance_rows(extras),
+            *_motion_rows(step, extras.motion),
             _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
             _row("proxy to tool", _error(telemetry), "mm"),
             _force_row(float(np.linalg.norm(step.force))),
@@ -214,6 +234,24 @@ def _distance_rows(extras: Extras) -> list[str]:
     return rows
 
 
+def _motion_rows(step: vf.Step, motion: Motion | None) -> list[str]:
+    """Of structures that move: distances and contacts are those of the true anatomy."""
+    if motion is None:
+        return []
+    met = "–" if motion.contacts is None else f"{motion.contacts:,}"
+    rows = [
+        _row("contacts with the true anatomy", met, " ", alarm=bool(motion.contacts)),
+        _row("overtaken by", f"{step.violation * 1e3:.3f}", "mm", alarm=step.violation > 0.0),
+    ]
+    if motion.tracked:
+        age = "–" if np.isinf(motion.age) else f"{motion.age:.2f}"
+        rows += [
+            _row("margin for what is not known", f"{motion.margin * 1e3:.2f}", "mm"),
+            _row("age of the last sighting", age, "s"),
+        ]
+    return rows
+
+
 def _state(
     telemetry: Telemetry, options: Options, extras: Extras, clutched: bool
 ) -> tuple[str, str]:
@@ -233,6 +271,11 @@ def _state(
         return f"Paused. {place}Run, or step tick by tick.", orange
     if telemetry.stale:
         return "Stale: no message from the dragging client, the tool holds.", red
+    if telemetry.lost:
+        return "Stale tracker: a structure was not seen for too long, the tool holds.", red
+    if step is not None and step.status == vf.Status.OVERTAKEN:
+        depth = f"{step.violation * 1e3:.3f} mm"
+        return f"Overtaken: the anatomy came faster than the arm yields, by up to {depth}.", red
     if step is not None and step.status == vf.Status.INSIDE:
         return "Inside the anatomy: only motion towards the outside passes.", red
     if step is not None and step.status == vf.Status.REFUSED:
@@ -257,7 +300,8 @@ def _state(
     if options.rule == "off":
         return "No fixture (rule off): nothing stops the tool.", orange
     if step.status == vf.Status.RECOVERING:
-        return "Recovering: the tool is led out to the standoff.", orange
+        to = "standoff" if extras.motion is None else "standoff and margin"
+        return f"Recovering: the tool is led out to the {to}.", orange
     if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
         force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
         who = holders(step, extras.structures)

@@ -14,8 +14,8 @@ import viser
 
 from app import files
 from app.recording.format import SUFFIX
+from app.recording.moment import Moment
 from app.recording.outline import outline
-from app.recording.playback import Moment
 from app.recording.read import read, under_way
 from app.refused import Refused
 from app.view import palette

@@ -11,7 +11,8 @@ import numpy as np
 import viser
 
 from app.recording.format import Recording
-from app.recording.playback import Moment, Player, Transport, build_scenes
+from app.recording.moment import Moment
+from app.recording.playback import Player, Transport, build_scenes
 from app.refused import Refused
 from app.scene.scene import Progress
 from app.scene.worker import Stop

@@ -13,7 +13,7 @@ import viser
 import vf
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats
-from app.recording.playback import Moment
+from app.recording.moment import Moment
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import course
 from app.scene import scene as scenes

@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 
 import vf
-from app.recording.playback import Moment
+from app.recording.moment import Moment
 from app.refused import Refused
 from app.scene import worker
 from app.scene.scene import Scene
