@@ -239,11 +239,12 @@ def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | Non
 
 
 def plant(scene: Scene, options: Options) -> Plant:
-    """The plant of this scene with these settings; takes milliseconds.
+    """The plant of this scene with these settings, see `settled`; takes milliseconds.
 
     Raises:
         ValueError: a corridor wider than the bends of its path allow.
     """
+    options = settled(options, scene)
     description = Description(
         robot=scene.arm.name,
         q0=scene.start,
