@@ -31,6 +31,7 @@ from app.scene.work import Work
 from app.settings import DECLARED, MESH, Options, Structure, kind_of
 
 DEFAULTS = Options()
+OF_MESH = (*MESH, "margin", "guarded", "colour", "opacity")  # go with the mesh
 STRUCTURE_LIVE = ("margin", "guard", "guarded", "name", "colour", "opacity")
 LIVE = tuple(  # options that are set while a session runs
     name
@@ -325,7 +326,7 @@ class Session(Driving):
             progress: called with a short text before each step.
             stop: of the operation (see `work`) that this is part of; None: it is its own.
             more: other `Options` by name, such as ``repair=True``. With a new `mesh`, options of
-                the mesh (`settings.MESH`) that are not given are reset to their defaults.
+                the mesh (`OF_MESH`) that are not given are reset to their defaults.
 
         Raises:
             Refused: another operation is in progress.
@@ -335,7 +336,7 @@ class Session(Driving):
         with contextlib.ExitStack() as stack:
             with self._writer.exclusive():  # raises `Refused` before the scene is built
                 stop = stack.enter_context(self.work.begin(stop))
-            wanted = {} if mesh is None else {name: getattr(DEFAULTS, name) for name in MESH}
+            wanted = {} if mesh is None else {name: getattr(DEFAULTS, name) for name in OF_MESH}
             named = {"mesh": mesh, "unit": unit, "robot": robot}
             wanted |= {name: value for name, value in named.items() if value is not None} | more
             options = replace(self.options, **wanted)

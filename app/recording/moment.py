@@ -72,6 +72,12 @@ def seen_from(pose: pin.SE3 | None, points: ArrayLike) -> FloatArray:
     return points if pose is None else (points - pose.translation) @ pose.rotation
 
 
+def placed(pose: pin.SE3 | None, points: ArrayLike) -> FloatArray:
+    """Points (…, 3) of the frame of a pose in the base frame."""
+    points = np.asarray(points, dtype=np.float64)
+    return points if pose is None else points @ pose.rotation.T + pose.translation
+
+
 @dataclass(frozen=True)
 class Moment:
     """All that the view draws: the present state of a session, or that of a row of a recording.
@@ -106,7 +112,7 @@ class Moment:
     @property
     def moves(self) -> bool:
         """Whether the scene has a structure that moves."""
-        return any(course is not None for course in self.scene.courses)
+        return self.scene.moves
 
     def pose(self, number: int) -> pin.SE3 | None:
         """T_rest_now of a structure as it truly is; None: where it rests."""

@@ -21,7 +21,7 @@ from app.recording.format import Recording
 from app.recording.moment import Moment, places_at
 from app.recording.write import as_json
 from app.scene import scene as scenes
-from app.scene import worker
+from app.scene import structures, worker
 from app.scene.scene import Progress, Scene
 
 
@@ -60,7 +60,7 @@ def build_scenes(
             work = functools.partial(rerun.build, place, version + k, warm=False)
             arm = robots.load(place.options.robot)
             built.append(
-                worker.build_scene(work, worker.files_of(place.options), arm, progress, stop)
+                worker.build_scene(work, structures.files_of(place.options), arm, progress, stop)
             )
     return tuple(built)
 

@@ -81,6 +81,11 @@ class Scene:
     courses: tuple[Course | None, ...] = ()
 
     @property
+    def moves(self) -> bool:
+        """Whether any of its structures moves."""
+        return any(course is not None for course in self.courses)
+
+    @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
         """Those of all structures, the mesh first, in the order of `Options.anatomy`."""
         return self.surface, *(one.surface for one in self.structures)
@@ -248,11 +253,12 @@ def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | Non
 
 
 def plant(scene: Scene, options: Options) -> Plant:
-    """The plant of this scene with these settings; takes milliseconds.
+    """The plant of this scene with these settings, see `settled`; takes milliseconds.
 
     Raises:
         ValueError: a corridor wider than the bends of its path allow.
     """
+    options = settled(options, scene)
     description = Description(
         robot=scene.arm.name,
         q0=scene.start,

@@ -139,6 +139,18 @@ def build(arrays: Sequence[Arrays], names: Sequence[str], progress: Progress) ->
     return tuple(built)
 
 
+def files_of(options: Options) -> tuple[str, ...]:
+    """The files, or names of the catalogue, that a scene of these options reads."""
+    names = (options.mesh, *(one.file for one in options.structures))
+    files = dict.fromkeys(split(name)[0] for name in names if name != choices.NO_MESH)
+    files |= dict.fromkeys(one.file for one in options.motions if one.file is not None)
+    return tuple(
+        str(path)
+        for name in files
+        for path in (sorted(Path(name).iterdir()) if Path(name).is_dir() else (name,))
+    )
+
+
 def _read(
     file: str, unit: str | None, labels: list[str | None], progress: Progress
 ) -> tuple[meshes.Structure, ...]:

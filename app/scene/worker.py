@@ -35,8 +35,9 @@ import numpy as np
 import meshes
 from app import choices
 from app.scene import scene as scenes
+from app.scene import structures
 from app.scene.scene import Progress, Scene
-from app.settings import Options, split
+from app.settings import Options
 from meshes.builtin import shapes
 from robots import Arm
 
@@ -65,18 +66,6 @@ class Allowance:
     memory: float
 
 
-def files_of(options: Options) -> tuple[str, ...]:
-    """The files, or names of the catalogue, that a scene of these options reads."""
-    names = (options.mesh, *(one.file for one in options.structures))
-    files = dict.fromkeys(split(name)[0] for name in names if name != choices.NO_MESH)
-    files |= dict.fromkeys(one.file for one in options.motions if one.file is not None)
-    return tuple(
-        str(path)
-        for name in files
-        for path in (sorted(Path(name).iterdir()) if Path(name).is_dir() else (name,))
-    )
-
-
 def allowance(*names: str) -> Allowance:
     """Several times the need of any mesh files of this size, or of any meshes of the catalogue.
 
@@ -87,12 +76,10 @@ def allowance(*names: str) -> Allowance:
         if name in meshes.catalogue() or name in choices.SETS:
             seconds += 300.0
             continue
-        there = 0
+        seconds += 60.0
         with contextlib.suppress(OSError, ValueError):  # reading the file raises the error
-            there = Path(name).stat().st_size
-        seconds += 60.0 + 2e-6 * there
-        size += there
-    return Allowance(seconds, min(3e9 + 20.0 * size, 0.75 * _available_memory()))
+            size += Path(name).stat().st_size
+    return Allowance(seconds + 2e-6 * size, min(3e9 + 20.0 * size, 0.75 * _available_memory()))
 
 
 class Stop:
@@ -140,7 +127,7 @@ def build(
         ValueError: what `scene.build` raises, `Ended` and `Stopped`.
     """
     work = functools.partial(scenes.build, options, version, warm=False)
-    return build_scene(work, files_of(options), arm, progress, stop)
+    return build_scene(work, structures.files_of(options), arm, progress, stop)
 
 
 def build_scene(
@@ -153,7 +140,7 @@ def build_scene(
     """The scene that ``work(progress=…)`` builds, by `run`, or in this process for light meshes.
 
     Args:
-        files: those that it reads, as `files_of` names them.
+        files: those that it reads, as `structures.files_of` names them.
 
     Raises:
         ValueError: what the work raises, `Ended` and `Stopped`.
@@ -247,8 +234,9 @@ def _reason(code: int, allowed: Allowance, late: bool) -> str:
             f"the work on the mesh took more than {allowed.seconds:.0f} s of processor time, many "
             "times what a mesh file of this size needs: is it what it says it is?"
         )
+    ending = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
     return (
-        f"the process that works on the mesh ended ({_ending(code)}): is there memory for it? "
+        f"the process that works on the mesh ended ({ending}): is there memory for it? "
         f"It may have {allowed.memory / 1e9:.2g} GB"
     )
 
@@ -321,10 +309,6 @@ def _exactly(stream: IO[bytes], size: int) -> memoryview:
     if stream.readinto(buffer) != size:  # type: ignore[attr-defined]
         raise EOFError
     return buffer
-
-
-def _ending(code: int) -> str:
-    return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
 
 
 def _available_memory() -> float:

@@ -152,8 +152,10 @@ def test_another_arm_keeps_the_structures_and_another_mesh_drops_them(session: S
     assert session.options.structures[0].margin == 4e-3
     session.drive(at_centre(session, 1))
     wait_until(lambda: held(session, 1))
+    session.set_structure(0, guarded=False, margin=1e-3, opacity=0.5, colour="#010203")
     session.change(mesh="gear")
-    assert session.options.structures == ()
+    # Another mesh is guarded, whatever the one before was.
+    assert session.options.anatomy == (Structure("gear", name="gear", margin=0.0),)
     assert session.scene.surfaces == (session.scene.surface,)
     session.drive(session.scene.T_base_start)
     tick = session.latest().tick

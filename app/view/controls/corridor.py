@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.control.plant import corridor
-from app.recording.moment import Moment, seen_from
+from app.recording.moment import Moment, placed, seen_from
 from app.scene.scene import DEFAULT_WIDTH, Scene
 from app.settings import number
 from app.view import palette
@@ -115,7 +115,7 @@ class CorridorControl(Part):
         if path is not None:
             ends = path[[0, -1]]
             self._end = far_end(ends, seen_from(pose, p_tip), self._end)
-            self._name.position = to_view(ends[self._end])
+            self._name.position = to_view(placed(pose, ends[self._end]))
 
     def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
         visible = corners is not None

@@ -38,7 +38,7 @@ class MotionControl(Part):
         self.set_scene(context.session.scene)
 
     def set_scene(self, scene: Scene) -> None:
-        self._folder.visible = any(course is not None for course in scene.courses)
+        self._folder.visible = scene.moves
 
     def read_out(self, shown: Moment) -> None:
         live = self._source.live

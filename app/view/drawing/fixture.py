@@ -11,9 +11,8 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.recording.moment import Moment
+from app.recording.moment import Moment, placed
 from app.view import palette
-from app.view.camera import DIRECTION
 from app.view.drawing import nodes
 from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
@@ -178,7 +177,7 @@ class FixtureDrawing(Part):
         near = (rank < MAX_DISCS) | active | (parts >= 0)
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
         # Off the centre of the disc, where the tool would hide the arrow.
-        feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
+        feet = _padded(to_view(centres + 0.8 * radii[:, None] * nodes.towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
         if strongest > MIN_PUSH:
             looks = [
@@ -201,7 +200,7 @@ class FixtureDrawing(Part):
             most = int(pushes.argmax())
             # Slightly above the plane's own rim; the arrow clear of the tool.
             ring = centres[most] + 0.015 * radius * normals[most]
-            foot = ring + 0.8 * radii[most] * _towards_viewer(normals[most][None])[0]
+            foot = ring + 0.8 * radii[most] * nodes.towards_viewer(normals[most][None])[0]
             for node, place in zip(self._blocking, (ring, foot), strict=True):
                 node.wxyz = wxyzs[most]
                 node.position = to_view(place)
@@ -281,8 +280,7 @@ def _triangles(
         if fixture < len(surfaces) and 0 <= triangle < len(surfaces[fixture].faces):
             rows.append(k)
             shape = surfaces[fixture].vertices[surfaces[fixture].faces[triangle]]
-            pose = poses[fixture] if fixture < len(poses) else None
-            corners.append(shape if pose is None else shape @ pose.rotation.T + pose.translation)
+            corners.append(placed(poses[fixture] if poses else None, shape))
     return np.array(rows, dtype=np.intp), np.array(corners).reshape(-1, 3, 3)
 
 
@@ -329,13 +327,6 @@ def _touch(
             centres[row] = foot + (planes.offsets[k] - thickness - normal @ foot) * normal
             radii[row] = min(max(thickness, CONTACT[0]), CONTACT[1])
     return parts
-
-
-def _towards_viewer(normals: FloatArray) -> FloatArray:
-    """Unit vectors (m, 3) in the planes, towards the camera of the first view."""
-    along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    return np.asarray(along / np.maximum(length, 1e-6))
 
 
 def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:

@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import viser
+from numpy.typing import NDArray
 
+from app.view.camera import DIRECTION
 from app.view.palette import Rgb
 from app.view.units import pose_to_view
+
+FloatArray = NDArray[np.float64]
 
 
 def mesh(api: viser.SceneApi, name: str, color: Rgb, **more: Any) -> viser.MeshHandle:
@@ -77,3 +81,10 @@ def add_lights(api: viser.SceneApi) -> None:
         "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=1.7
     )
     api.add_light_directional("/light/sun", intensity=1.9, position=(60.0, 10.0, 60.0))
+
+
+def towards_viewer(normals: FloatArray) -> FloatArray:
+    """Unit vectors (m, 3) in the planes, towards the camera of the first view."""
+    along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(along / np.maximum(length, 1e-6))

@@ -75,7 +75,6 @@ class InspectorTab(Part):
         self._case: figures.Case | None = None
         self._surface = self._scene.surface  # under the probe
         self._probe_at = np.zeros(3)  # replaced as a whole
-        self._rests = all(course is None for course in self._scene.courses)
         self._rule = RULES[0]
         with context.left.add_tab("Inspector"):
             self._controls(context.server.gui)
@@ -88,8 +87,7 @@ class InspectorTab(Part):
         self._surface = scene.surface
         self._near.hide()
         self._drawn = self._step = None
-        self._rests = all(course is None for course in scene.courses)
-        if not self._rests and self._on:
+        if scene.moves and self._on:
             self._context.server.scene.remove_click_callback(self._clicked)
             self._on = False
 
@@ -132,12 +130,12 @@ class InspectorTab(Part):
 
     def read_out(self, shown: Moment) -> None:
         self._freeze.value = self._exploring
-        live = self._context.source.live and self._rests
+        live = self._context.source.live and not self._scene.moves
         self._freeze.disabled = self._cases.disabled = not live
-        self._inspect.disabled = not self._rests
-        if not self._rests:
+        self._inspect.disabled = self._scene.moves
+        if self._scene.moves:
             self._inspect.value = False
-        self._intro.content = _INTRO if self._rests else _MOVING
+        self._intro.content = _MOVING if self._scene.moves else _INTRO
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
         self._intro.visible = not self._on
@@ -274,7 +272,7 @@ class InspectorTab(Part):
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         scene = self._context.server.scene
-        if on == self._on or (on and not self._rests):
+        if on == self._on or (on and self._scene.moves):
             return
         if on:
             scene.on_click()(self._clicked)  # type: ignore[arg-type]
@@ -316,7 +314,7 @@ class InspectorTab(Part):
             self._rule = rule
 
     def _explore(self, client: viser.ClientHandle, on: bool) -> None:
-        if on == self._exploring or (on and not self._rests):
+        if on == self._exploring or (on and self._scene.moves):
             return
         if not on:
             self._stop_exploring()
@@ -330,7 +328,7 @@ class InspectorTab(Part):
         if name != HERE and name not in figures.CASES:
             return
         if not self._exploring:
-            if name == HERE or not self._rests:
+            if name == HERE or self._scene.moves:
                 return
             self._start_exploring(client)
         if name == HERE:

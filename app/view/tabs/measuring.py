@@ -11,7 +11,8 @@ from app.control.messages import Telemetry
 from app.recording.moment import Moment
 from app.settings import Options
 from app.view.tabs.depth import Whereabouts, whereabouts
-from app.view.tabs.readouts import Extras, Motion
+from app.view.tabs.readouts import Extras
+from app.view.tabs.rows import Motion
 
 
 def fixture_names(options: Options) -> tuple[str, ...]:

@@ -171,7 +171,7 @@ class Signals(Part):
                 "Plot", True, hint="Off, the plots stand still; what they miss is kept for later."
             )
             self._plots = [self._add(gui, plot, plot is PLOTS[-1]) for plot in PLOTS]
-            moves = any(course is not None for course in self._scene.courses)
+            moves = self._scene.moves
             self._plots[MOTION].visible = moves
             self._mode = gui.add_dropdown(
                 "Trail",
@@ -195,7 +195,7 @@ class Signals(Part):
         if scene.version == self._scene.version:
             return
         self._scene = scene
-        self._plots[MOTION].visible = any(course is not None for course in scene.courses)
+        self._plots[MOTION].visible = scene.moves
         self._clear_all()
 
     def frame(self, shown: Moment, clients: Clients) -> None:

@@ -13,7 +13,7 @@ import meshes
 import robots
 from app.scene import scene as scenes
 from app.scene import worker
-from app.scene.structures import read
+from app.scene.structures import files_of, read
 from app.settings import MOST, Options, Structure
 from tests.support import label_files, structured
 
@@ -188,9 +188,9 @@ def test_large_structures_are_decimated_for_drawing_alone() -> None:
 
 def test_a_scene_is_built_aside_with_all_its_files_counted(folder: Path) -> None:
     options = structured.options(folder)
-    files = worker.files_of(options)
+    files = files_of(options)
     assert files == ("cube", *(str(folder / f"{name}.stl") for name in structured.NAMES))
-    assert worker.files_of(Options(mesh="none", structures=(Structure(str(folder)),))) == tuple(
+    assert files_of(Options(mesh="none", structures=(Structure(str(folder)),))) == tuple(
         sorted(str(path) for path in folder.iterdir())
     )
     assert worker.allowance(*files).seconds > worker.allowance("cube").seconds + 179.0
