@@ -81,10 +81,7 @@ class Plant:
         return found + [of_structures[0]] * (len(self.controller.fixtures) - len(found))
 
     def is_free(self, p_base: NDArray[np.float64]) -> bool:
-        """Whether a tip at p_base (3,) is outside of all that is guarded, and clear of it.
-
-        Where the structures rest.
-        """
+        """Whether a tip at p_base (3,) is outside of all that is guarded and rests, and clear."""
         return all(is_free(one, p_base, self.clearance) for _, one in self.guarded)
 
 
@@ -244,7 +241,7 @@ class Engine:
         elif moved:
             self._target = None
             # Paused: compute the planes of the new plant, move nothing.
-            self._hold(self._told(self._phase) if self._movement.moves else None, yields=False)
+            self._hold(self._told(0.0), yields=False)
         return self.look(orders, stats), ticks
 
     def look(self, orders: Orders, stats: LoopStats) -> Telemetry:
@@ -311,7 +308,7 @@ class Engine:
     def _run(self, orders: Orders) -> None:
         plant, command = self._plant, orders.command
         self._stale = self._lost = False
-        motions = self._move_on(orders) if self._movement.moves else None
+        motions = self._told(orders.pace if orders.moving else 0.0)
         if orders.autopilot:
             if self._autopilot_since is None:
                 self._autopilot_since = self._tick
@@ -335,23 +332,19 @@ class Engine:
         self._step = step
         self._tip = step.tip
 
-    def _move_on(self, orders: Orders) -> list[vf.Motion | None] | None:
+    def _told(self, pace: float) -> list[vf.Motion | None] | None:
         """Let the structures move for a tick; returns what the controller is told of it."""
-        before = self._phase
-        self._phase_before = before
-        if orders.moving:
-            self._phase = before + orders.pace * self._plant.dt
-        return self._told(before)
-
-    def _told(self, before: float) -> list[vf.Motion | None] | None:
-        """What the controller is told of the motion since a phase [s]."""
+        if not self._movement.moves:
+            return None
+        before = self._phase_before = self._phase
+        self._phase = before + pace * self._plant.dt
         try:
             told = self._movement.during(before, self._phase)
         except Exception:
             self._lost = True  # where they are is not known
             if not self._failed:
                 self._failed = True
-                log.exception("the motion of a structure could not be computed; the tool holds")
+                log.exception("the motion of structures could not be computed; the tool holds")
             return None
         self._lost = told.stale
         return self._plant.motions(told.motions)

@@ -18,10 +18,10 @@ from app.control.messages import LoopStats, Telemetry
 from app.motion.movement import Movement, checksum
 from app.recording import rerun
 from app.recording.format import Recording
-from app.recording.moment import Moment, places_at
 from app.recording.write import as_json
 from app.scene import scene as scenes
 from app.scene import structures, worker
+from app.scene.moment import Moment, places_at
 from app.scene.scene import Progress, Scene
 
 

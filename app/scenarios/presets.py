@@ -214,7 +214,7 @@ _KNOCK = Scenario(
         tip_speed=0.1,
         motions=(Motion("knock", move=(0.0, 0.0, 0.008), period=0.06, after=2.5),),
     ),
-    (_at(1.0, 0, 0, 40), _at(2.0, 0, 0, 15), _at(3.5, 0, 0, 15), _at(5.5, 0, 0, 60)),
+    (_at(1.0, 0, 0, 30), _at(2.0, 0, 0, 15), _at(3.5, 0, 0, 15), _at(5.5, 0, 0, 38)),
     camera="anatomy",
 )
 

@@ -14,9 +14,9 @@ import viser
 from numpy.typing import NDArray
 
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
-from app.recording.moment import Moment
 from app.scenarios.file import Scenario
 from app.scene.library import Library
+from app.scene.moment import Moment
 from app.session import Session
 from app.view import guard, style
 from app.view.clients import client_names

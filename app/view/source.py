@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from app.control.messages import Telemetry
 from app.motion.movement import Movement
-from app.recording.moment import Moment, Places, places_at
+from app.scene.moment import Moment, Places, places_at
 from app.scene.scene import Scene
 from app.session import Session
 

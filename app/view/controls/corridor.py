@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.control.plant import corridor
-from app.recording.moment import Moment, placed, seen_from
+from app.scene.moment import Moment, placed, seen_from
 from app.scene.scene import DEFAULT_WIDTH, Scene
 from app.settings import number
 from app.view import palette

@@ -7,7 +7,7 @@ from typing import Any
 import viser
 
 from app.devices.driving import PACE
-from app.recording.moment import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view.context import PageContext
 from app.view.controls.fields import show

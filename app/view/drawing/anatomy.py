@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.judges.meeting import sees
-from app.recording.moment import Moment, seen_from
+from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.settings import Structure
 from app.view import palette

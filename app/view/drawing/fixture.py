@@ -11,7 +11,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.recording.moment import Moment, placed
+from app.scene.moment import Moment, placed
 from app.view import palette
 from app.view.drawing import nodes
 from app.view.drawing.labels import Labels

@@ -11,7 +11,7 @@ import viser
 from numpy.typing import NDArray
 from trimesh import intersections
 
-from app.recording.moment import Moment, seen_from
+from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.view.drawing.anatomy import Anatomy
 from app.view.part import Clients, Part

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import vf
 from app.control.engine import guarded
 from app.control.messages import Telemetry
-from app.recording.moment import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
@@ -133,8 +133,7 @@ class InspectorTab(Part):
         live = self._context.source.live and not self._scene.moves
         self._freeze.disabled = self._cases.disabled = not live
         self._inspect.disabled = self._scene.moves
-        if self._scene.moves:
-            self._inspect.value = False
+        self._inspect.value = self._inspect.value and not self._scene.moves
         self._intro.content = _MOVING if self._scene.moves else _INTRO
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring

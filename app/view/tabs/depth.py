@@ -19,7 +19,7 @@ from app.judges import boxes
 from app.judges.meeting import sees
 from app.judges.nearest import gaps
 from app.judges.oracles import OVERLAP_TOLERANCE
-from app.recording.moment import Placed, seen_from
+from app.scene.moment import Placed, seen_from
 from app.scene.scene import Scene
 from robots import Arm
 

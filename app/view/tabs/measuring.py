@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.control.messages import Telemetry
-from app.recording.moment import Moment
+from app.scene.moment import Moment
 from app.settings import Options
 from app.view.tabs.depth import Whereabouts, whereabouts
 from app.view.tabs.readouts import Extras

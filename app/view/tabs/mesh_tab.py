@@ -14,12 +14,12 @@ import viser
 
 import meshes
 from app.files import size
-from app.recording.moment import Moment
 from app.recording.outline import outline
 from app.refused import Refused
 from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import palette
 from app.view.clients.uploads import Receiver

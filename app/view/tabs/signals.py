@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.control.messages import Telemetry
-from app.recording.moment import Moment, Placed
+from app.scene.moment import Moment, Placed
 from app.scene.scene import Scene
 from app.settings import Options
 from app.view import palette

@@ -11,7 +11,7 @@ import viser
 
 from app.kinds import Length, bare
 from app.options import declared
-from app.recording.moment import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.settings import Structure
 from app.view import palette

@@ -14,7 +14,7 @@ import trimesh
 
 import vf
 from app.control.messages import LoopStats, Telemetry
-from app.recording.moment import Moment, Placed
+from app.scene.moment import Moment, Placed
 from app.settings import Options
 from app.view import palette
 from app.view.drawing import trail
