@@ -20,7 +20,6 @@ from app.view import palette
 from app.view.context import PageContext
 from app.view.controls.fields import NumberField, show
 from app.view.drawing.fixture import MIN_PUSH
-from app.view.part import Part
 
 EYE, GUARD, CHOOSE = "eye", "guard", "choose"  # the orders of the list's buttons
 AS_SESSION = "as the session"
@@ -33,8 +32,10 @@ _EYE = (
 FAR = 9.999  # distances beyond this are not written [m]
 
 
-class StructureList(Part):
+class StructureList:
     """All structures in a row each, with buttons; below it the controls of the chosen one.
+
+    A part of the tab "Mesh", which calls it.
 
     The rows change only with settings. The distances and which structure holds the tool are a style
     sheet beside them, so that a row that is being clicked stays the same element.
