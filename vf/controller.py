@@ -123,6 +123,7 @@ class Controller:
         self._idle.flags.writeable = False
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
+        self._still = (None,) * len(self.fixtures)
         self._moved: list[bool] = []  # which fixtures moved in the last tick; empty: none
         self._tick = _COMPILED.tick
         if not Controller._warm:
@@ -220,20 +221,21 @@ class Controller:
     def _set_motions(self, motions: Sequence[Motion | None] | None) -> bool:
         """Write how the fixtures move; False, and all stand still: that is of no use."""
         block = self._block
-        moves: list[bool] = []
         usable = True
         try:
-            given = (None,) * len(self.fixtures) if motions is None else tuple(motions)
+            given: tuple[Motion | None, ...] = self._still if motions is None else tuple(motions)
         except Exception:  # an object may raise anything when iterated
             given = ()
-        if len(given) != len(self.fixtures) or not all(
-            motion is None or type(motion) is Motion for motion in given
-        ):
-            given, usable = (None,) * len(self.fixtures), False
-        for f, motion in enumerate(given):
+        kinds = {type(motion) for motion in given}
+        if len(given) != len(self._still) or not kinds <= _MOTIONS:
+            given, usable = self._still, False
+        moves = []
+        place = 0
+        for motion in given:
             moves.append(motion is not None)
             if motion is not None:
-                block.motions[f, : at.SPIN] = motion.record
+                block.poses[place : place + _POSES] = motion.packed
+            place += _MOTION
         if moves != self._moved:
             block.searches[:, at.MOVES] = moves
             block.words[at.MOVING] = any(moves)
@@ -381,4 +383,6 @@ _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
 _NO_POSE = np.full((4, 4), nan)
 _RECORD = 8 * at.PLANE  # bytes
+_MOTION, _POSES = 8 * at.MOTION, 8 * at.SPIN  # bytes
+_MOTIONS = {Motion, type(None)}
 _new_step = object.__new__

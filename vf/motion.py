@@ -34,9 +34,10 @@ class Motion:
             start to end it turns by 3 rad or more.
     """
 
-    __slots__ = ("record",)
+    __slots__ = ("packed", "record")
 
     record: FloatArray  # (24,) rows of the rotation, then the translation, at start and end
+    packed: bytes  # of the record
 
     def __init__(self, start: pin.SE3, end: pin.SE3) -> None:
         record = np.concatenate([_numbers("start", start), _numbers("end", end)])
@@ -48,6 +49,7 @@ class Motion:
             )
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
+        object.__setattr__(self, "packed", record.tobytes())
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("a Motion does not change: make another")
@@ -61,10 +63,10 @@ class Motion:
         return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:].copy())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Motion) and bool(np.array_equal(self.record, other.record))
+        return isinstance(other, Motion) and self.packed == other.packed
 
     def __hash__(self) -> int:
-        return hash(self.record.tobytes())
+        return hash(self.packed)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Motion, (self.start, self.end)
