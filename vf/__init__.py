@@ -3,6 +3,7 @@
 from vf.adjacency import Edge
 from vf.controller import Controller
 from vf.fixtures import RULES, Fixture, MeshFixture
+from vf.motion import Motion
 from vf.planes import Planes, Rule
 from vf.qp.least_squares import ConstrainedLeastSquares, Solution
 from vf.qp.solver import SOLVERS, Solver
@@ -35,6 +36,7 @@ __all__ = [
     "Feature",
     "Fixture",
     "MeshFixture",
+    "Motion",
     "Planes",
     "Rule",
     "Settings",

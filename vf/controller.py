@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from vf import layout as at
 from vf.fixtures import RULES, Fixture, MeshFixture
+from vf.motion import Motion, placed, seen_from
 from vf.planes import FloatArray, Planes, write_records
 from vf.qp import problem
 from vf.qp.active_set import left_over
@@ -122,6 +123,8 @@ class Controller:
         self._idle.flags.writeable = False
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
+        self._still = (None,) * len(self.fixtures)
+        self._moved: list[bool] = []  # which fixtures moved in the last tick; empty: none
         self._tick = _COMPILED.tick
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
@@ -170,13 +173,21 @@ class Controller:
         self.step(q, T)
         self._sent = sent
 
-    def step(self, q: ArrayLike, target: pin.SE3) -> Step:
+    def step(
+        self, q: ArrayLike, target: pin.SE3, motions: Sequence[Motion | None] | None = None
+    ) -> Step:
         """One tick from joint positions q (n,) towards the tip pose `target`, base frame.
 
-        Raises nothing: where q or the target is not usable, the status is REFUSED. The step's `q`
-        is then q itself if only the target is not usable, else the `q` of the last tick. Before the
-        first tick with usable joints it is the q given (nan if that is not an array of numbers),
-        and the tip is the identity.
+        With `motions`, one for each fixture (None: it stands still), structures move during the
+        tick. A structure that comes to the tool moves it, also where the target is the tip's own
+        pose: a tool that is to hold yields, and no more than it has to. Where the arm cannot yield
+        that fast the status is OVERTAKEN, the step the one that misses the planes least, and
+        `Step.violation` how deep that may be.
+
+        Raises nothing: where q, the target or the motions are not usable, the status is REFUSED.
+        The step's `q` is then q itself if only target or motions are not usable, else the `q` of
+        the last tick. Before the first tick with usable joints it is the q given (nan if that is
+        not an array of numbers), and the tip is the identity.
         """
         started = monotonic()
         # The kernel does not check types: only a float64 array of the right shape may go there.
@@ -192,6 +203,8 @@ class Controller:
             goal = target.homogeneous if isinstance(target, pin.SE3) else _NO_POSE
         except Exception:  # a subclass, or an SE3 that was never initialised
             goal = _NO_POSE
+        if (motions is not None or self._moved) and not self._set_motions(motions):
+            goal = _NO_POSE
         m = self._tick(block.address, q, goal, at.BEGIN)
         while m < 0:
             if m <= -at.NO_TARGET:
@@ -205,6 +218,30 @@ class Controller:
         self._sent = record
         return step
 
+    def _set_motions(self, motions: Sequence[Motion | None] | None) -> bool:
+        """Write how the fixtures move; False, and all stand still: that is of no use."""
+        block = self._block
+        usable = True
+        try:
+            given: tuple[Motion | None, ...] = self._still if motions is None else tuple(motions)
+        except Exception:  # an object may raise anything when iterated
+            given = ()
+        kinds = {type(motion) for motion in given}
+        if len(given) != len(self._still) or not kinds <= _MOTIONS:
+            given, usable = self._still, False
+        moves = []
+        place = 0
+        for motion in given:
+            moves.append(motion is not None)
+            if motion is not None:
+                block.poses[place : place + _POSES] = motion.packed
+            place += _MOTION
+        if moves != self._moved:
+            block.searches[:, at.MOVES] = moves
+            block.words[at.MOVING] = any(moves)
+            self._moved = moves if any(moves) else []
+        return usable
+
     def _place(self, q: FloatArray) -> None:
         """Pose and Jacobian at q, of an arm without a chain."""
         T, self._block.jacobian[:] = self.arm.kinematics(q.copy())
@@ -216,10 +253,12 @@ class Controller:
 
     def _look_for_sides(self, q: FloatArray) -> None:
         block = self._block
-        x = block.places[0].copy()
         for f, fixture in enumerate(self.fixtures):
-            block.sides[f, at.SEEN : at.SEEN + 3] = x
-            block.sides[f, at.WITHIN] = fixture.inside(x)
+            block.sides[f, at.WITHIN] = fixture.inside(self._seen(f))
+
+    def _seen(self, f: int) -> FloatArray:
+        """Where the tip is at the start of the tick, in the frame of a fixture."""
+        return self._block.sides[f, at.SEEN : at.SEEN + 3].copy()
 
     @property
     def _inside(self) -> tuple[bool, ...]:
@@ -229,12 +268,15 @@ class Controller:
     def _ask_fixtures(self, q: FloatArray) -> None:
         """The planes of all fixtures, from their Python methods."""
         s, block = self.settings, self._block
-        x = block.places[0].copy()
         radius = float(block.numbers[at.SEARCHED])
-        parts = [
-            fixture.planes(x, radius, s.standoff, s.tip_radius, within)
-            for fixture, within in zip(self.fixtures, self._inside, strict=True)
-        ]
+        parts = []
+        for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True)):
+            moves = bool(self._moved) and self._moved[f]
+            more = float(block.motions[f, at.MORE]) if moves else 0.0
+            part = fixture.planes(self._seen(f), radius + more, s.standoff, s.tip_radius, within)
+            if moves:
+                part = placed(part, block.motions[f, at.TO : at.SPIN], more)
+            parts.append(part)
         count = sum(map(len, parts))
         if count > block.room:
             block.reserve(2 * count)
@@ -261,10 +303,13 @@ class Controller:
     def _judge(self, q: FloatArray) -> None:
         """Whether a step that starts inside of a fixture leads out, which planes do not decide."""
         block = self._block
-        x, y = block.places[0].copy(), block.trials[0].copy()
+        ends = [block.trials[0].copy() for _ in self.fixtures]
+        for f, moves in enumerate(self._moved):
+            if moves:
+                ends[f] = seen_from(block.motions[f, at.TO : at.SPIN], ends[f])
         block.words[at.ANSWER] = all(
-            fixture.leads_out(x, y)
-            for fixture, within in zip(self.fixtures, self._inside, strict=True)
+            fixture.leads_out(self._seen(f), ends[f])
+            for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True))
             if within
         )
 
@@ -338,4 +383,6 @@ _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
 _NO_POSE = np.full((4, 4), nan)
 _RECORD = 8 * at.PLANE  # bytes
+_MOTION, _POSES = 8 * at.MOTION, 8 * at.SPIN  # bytes
+_MOTIONS = {Motion, type(None)}
 _new_step = object.__new__

@@ -40,7 +40,11 @@ class Fixture(Protocol):
     def planes(
         self, x: FloatArray, radius: float, standoff: float, tip_radius: float, inside: bool
     ) -> Planes:
-        """Planes with n·x ≥ o for a tip of `tip_radius` centred at x (3,), base frame [m]."""
+        """Planes with n·x ≥ o for a tip of `tip_radius` centred at x (3,) [m].
+
+        In the arm's base frame, or for a fixture that moves in the frame of that (`vf.Motion`); so
+        are the points of the other two methods.
+        """
         ...
 
     def inside(self, x: FloatArray) -> bool:
@@ -62,7 +66,7 @@ class MeshFixture:
     is inside of the anatomy margins do not count.
 
     Args:
-        surface: the anatomy, in the arm's base frame.
+        surface: the anatomy, in the arm's base frame, or in the frame that a `vf.Motion` moves.
         rule: "certified", "paper" (Conditions 1–3), "all" (every face plane) or "off".
         radius: of the motion sphere [m], None: as far as the arm can go in a tick.
         margin: how far to stay away from the surface beside the standoff [m]: one length, or (n,)

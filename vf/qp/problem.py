@@ -11,6 +11,7 @@ import numpy as np
 
 from vf.kernels import njit
 from vf.layout import (
+    CARRY,
     FLOOR,
     FOOT,
     KEEP,
@@ -123,7 +124,7 @@ def height(plane, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # type: ignore[no-untyped-def]
+def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
     Below standoff and margin, b > 0 asks for a motion that recovers a share of the deficit, slowly
@@ -136,6 +137,8 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
     Args:
         planes: records, those of a point next to each other.
         guards: (p, GUARD) see `vf.layout`.
+        moves: whether planes have their CARRY, by how much they ask for motion beside all that;
+            else it is set to 0.
 
     Returns:
         Distance of the nearest foot of a plane of the tip, and the worst deficit of any point to
@@ -157,7 +160,10 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
             rows[i, j] = (
                 plane[NORMAL] * J[0, j] + plane[NORMAL + 1] * J[1, j] + plane[NORMAL + 2] * J[2, j]
             )
-        above = height(plane, x)
+        # Relative to the structure, that is where the plane would take x.
+        if not moves:
+            plane[CARRY] = 0.0
+        above = height(plane, x) + plane[CARRY]
         if plane[RULE] == EXIT:
             bounds[i] = min(plane[OFFSET] - above, 0.0)  # nothing to recover
             continue
@@ -181,6 +187,10 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
             if i == m or planes[i, POINT] != planes[first, POINT]:
                 _reconcile(planes[first:i], i - first, places, bounds[first:i])
                 first = i
+    if moves:
+        for i in range(m):
+            if planes[i, POINT] == 0.0 or rows[i].any():
+                bounds[i] += planes[i, CARRY]
     return nearest, deficit
 
 
@@ -237,7 +247,7 @@ def _reconcile(planes, m, places, bounds):  # type: ignore[no-untyped-def]
             left = bounds[i]
             if left > 0.0:
                 x = places[int(planes[i, POINT])]
-                left = 0.5 * (planes[i, OFFSET] - height(planes[i], x))
+                left = 0.5 * (planes[i, OFFSET] - (height(planes[i], x) + planes[i, CARRY]))
             if gain < left:
                 share = min(share, max(left / gain, 0.0))
     for i in range(m):

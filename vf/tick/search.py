@@ -11,23 +11,43 @@ from vf.qp.problem import farthest, height, sagitta
 from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
+from vf.tick.moving import bend, into, more_reach, put
 from vf.tree.axis import lowest
 
 
 @njit(cache=True)
 def sides_known(words, x):  # type: ignore[no-untyped-def]
-    """Whether it is known for every fixture if x (3,) is inside: the last look-up was there."""
-    sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
-    for f in range(words[at.FIXTURES]):
-        for k in range(3):
-            if sides[f, at.SEEN + k] != x[k]:
-                return False
-    return True
+    """Whether it is known for every fixture if x (3,) is inside: the last look-up was there.
+
+    If not, SEEN is where it has to be looked up, in the frame of the fixture.
+    """
+    fixtures = words[at.FIXTURES]
+    sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
+    known = True
+    if words[at.MOVING] == 0:
+        for f in range(fixtures):
+            for k in range(3):
+                known &= sides[f, at.SEEN + k] == x[k]
+        if not known:
+            for f in range(fixtures):
+                for k in range(3):
+                    sides[f, at.SEEN + k] = x[k]
+        return known
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    for f in range(fixtures):
+        px, py, pz = x[0], x[1], x[2]
+        if searches[f, at.MOVES] > 0:
+            px, py, pz = into(motions[f], at.FROM, px, py, pz)
+        seen = sides[f, at.SEEN : at.SEEN + 3]
+        known &= seen[0] == px and seen[1] == py and seen[2] == pz
+        seen[0], seen[1], seen[2] = px, py, pz
+    return known
 
 
 @njit(cache=True)
-def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
-    """Set INSIDE, the radius of the motion sphere, and that of the ball to search.
+def set_radius(words, numbers, J, speed, x):  # type: ignore[no-untyped-def]
+    """Set INSIDE, the radius of the motion sphere, and that of the ball to search around x (3,).
 
     The ball is larger than the motion sphere by the standoff, since a step to the rim of the sphere
     could end right at a triangle outside, and by the sagitta of the path, up to a quarter of the
@@ -43,6 +63,12 @@ def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
         radius = max(farthest(J, speed), 2.0 * numbers[at.STANDOFF])
     numbers[at.RADIUS] = radius
     numbers[at.SEARCHED] = radius + min(numbers[at.SAGITTA], 0.25 * radius) + numbers[at.BEYOND]
+    if words[at.MOVING] > 0:
+        searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+        motions = numba.carray(floats_at(words[at.MOTIONS]), (words[at.FIXTURES], at.MOTION))
+        for f in range(words[at.FIXTURES]):
+            if searches[f, at.MOVES] > 0:
+                motions[f, at.MORE] = more_reach(motions[f], x, numbers[at.SEARCHED])
 
 
 @njit(cache=True)
@@ -126,6 +152,7 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
     queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
     polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
     sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     standoff = numbers[at.STANDOFF]
     lowered = 0.0
     while True:
@@ -144,6 +171,12 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
             margin = 0.0
             low = 0.0
+            here = ends
+            more = 0.0
+            wider = 1.0
+            if searches[f, at.MOVES] > 0:
+                here = _ends_into(motions[f], ends)
+                more, wider = _for_motion(motions[f], ends, radius, numbers[at.STANDOFF])
             if search[at.KIND] == at.MESH:
                 if not tip and search[at.TOOL] == 0:
                     continue
@@ -153,15 +186,16 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                 own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))
                 found, valid, low = walk(
                     nodes, corners, order, slivers, edges, margin, highest, own, lowered, False,
-                    ends, radius, standoff, thickness, EASE, planes, m, queue, polygons,
+                    here, radius + more, wider * standoff, thickness, EASE, planes, m, queue,
+                    polygons,
                 )  # fmt: skip
             elif tip and len(ends) == 3:
                 walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
                 frame = numba.carray(floats_at(search[at.FRAME]), (8,))
                 found, valid = between(
                     walls, frame[:6].reshape((2, 3)), frame[6], frame[7], nodes, corners, order,
-                    slivers, edges, ends[:3], radius, standoff, thickness, planes, m, queue,
-                    polygons,
+                    slivers, edges, here[:3], radius + more, wider * standoff, thickness, planes, m,
+                    queue, polygons,
                 )  # fmt: skip
             else:
                 continue
@@ -174,14 +208,18 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             space = np.inf
             for i in range(m, m + found):
                 planes[i, at.FIXTURE] = f
-                planes[i, at.KEEP] = numbers[at.STANDOFF] + planes[i, at.PUSH]
-                space = min(space, _room(planes[i], ends) - max(planes[i, at.PUSH] - low, 0.0))
+                planes[i, at.KEEP] = wider * numbers[at.STANDOFF] + planes[i, at.PUSH]
+                space = min(space, _room(planes[i], here) - max(planes[i, at.PUSH] - low, 0.0))
                 planes[i, at.PUSH] = 0.0
-            if space - thickness < standoff or low > lowered:
+                if searches[f, at.MOVES] > 0:
+                    put(planes[i], motions[f])
+            if space - thickness < wider * standoff or low > lowered:
                 close += 1
             most = max(most, low)
-            least = min(least, space - thickness)
+            least = min(least, (space - thickness) / wider)
             m += found
+            if more > 0.0:
+                valid = radius if valid >= radius + more else max(valid - more, 0.0)
             reach = min(reach, valid)
         # Closer than standoff and margin to two fixtures: the tool may come as close to the farther
         # one as it is to the nearer one, as between two walls of one fixture (`certified.walk`).
@@ -197,6 +235,32 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
         if not standoff > YIELD:
             break
     return m, reach, met
+
+
+@njit(cache=True)
+def _ends_into(motion, ends):  # type: ignore[no-untyped-def]
+    """The ends in the frame of a structure at the start of the tick."""
+    a = into(motion, at.FROM, ends[0], ends[1], ends[2])
+    if len(ends) == 3:
+        return a
+    b = into(motion, at.FROM, ends[-3], ends[-2], ends[-1])
+    return a[0], a[1], a[2], b[0], b[1], b[2]
+
+
+@njit(cache=True)
+def _for_motion(motion, ends, radius, standoff):  # type: ignore[no-untyped-def]
+    """By how much the ball has to be larger [m], and how many times the standoff has to be as wide.
+
+    From the standoff a plane leaves a quarter for what a path bends: four times that which comes of
+    the motion of the structure alone is kept for it.
+    """
+    first = ends[:3]
+    more = more_reach(motion, first, radius)
+    bent = bend(motion, first, 0.0)
+    if len(ends) == 6:
+        more = max(more, more_reach(motion, ends[-3:], radius))
+        bent = max(bent, bend(motion, ends[-3:], 0.0))
+    return more, max(1.0, 8.0 * bent / standoff)
 
 
 @njit(cache=True)
