@@ -20,6 +20,7 @@ from vf.qp import problem
 from vf.qp.active_set import left_over
 from vf.qp.solver import Solver, backend
 from vf.rules.corridor import CorridorFixture
+from vf.rules.margins import NO_MARGIN
 from vf.selftest import check_kernels
 from vf.settings import Settings
 from vf.status import Status
@@ -123,6 +124,8 @@ class Controller:
         self._idle.flags.writeable = False
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
+        self._still = (None,) * len(self.fixtures)
+        self._added = [_NOTHING] * len(self.fixtures)  # to margins, and their growth [m]
         self._moved: list[bool] = []  # which fixtures moved in the last tick; empty: none
         self._tick = _COMPILED.tick
         if not Controller._warm:
@@ -220,25 +223,27 @@ class Controller:
     def _set_motions(self, motions: Sequence[Motion | None] | None) -> bool:
         """Write how the fixtures move; False, and all stand still: that is of no use."""
         block = self._block
-        moves: list[bool] = []
         usable = True
         try:
-            given = (None,) * len(self.fixtures) if motions is None else tuple(motions)
+            given: tuple[Motion | None, ...] = self._still if motions is None else tuple(motions)
         except Exception:  # an object may raise anything when iterated
             given = ()
-        if len(given) != len(self.fixtures) or not all(
-            motion is None or type(motion) is Motion for motion in given
-        ):
-            given, usable = (None,) * len(self.fixtures), False
+        kinds = {type(motion) for motion in given}
+        if len(given) != len(self._still) or not kinds <= _MOTIONS:
+            given, usable = self._still, False
+        moves = []
+        place = 0
         for f, motion in enumerate(given):
             moves.append(motion is not None)
             if motion is not None:
-                block.motions[f, : at.SPIN] = motion.record
-                block.motions[f, at.GROWTH] = motion.growth
-            margins = getattr(self.fixtures[f], "margins", None)
-            if margins is not None:
-                more = 0.0 if motion is None else motion.margin
-                block.sides[f, at.MARGIN] = margins.margin + more
+                block.poses[place : place + _POSES] = motion.packed
+            added = _NOTHING if motion is None else (motion.margin, motion.growth)
+            if added != self._added[f]:
+                self._added[f] = added
+                block.motions[f, at.GROWTH] = added[1]
+                margins = getattr(self.fixtures[f], "margins", NO_MARGIN)
+                block.sides[f, at.MARGIN] = margins.margin + added[0]
+            place += _MOTION
         if moves != self._moved:
             block.searches[:, at.MOVES] = moves
             block.words[at.MOVING] = any(moves)
@@ -386,4 +391,7 @@ _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
 _NO_POSE = np.full((4, 4), nan)
 _RECORD = 8 * at.PLANE  # bytes
+_MOTION, _POSES = 8 * at.MOTION, 8 * at.SPIN  # bytes
+_MOTIONS = {Motion, type(None)}
+_NOTHING = (0.0, 0.0)
 _new_step = object.__new__

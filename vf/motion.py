@@ -37,9 +37,10 @@ class Motion:
             start to end it turns by 3 rad or more, or margin or growth is no length.
     """
 
-    __slots__ = ("growth", "margin", "record")
+    __slots__ = ("growth", "margin", "packed", "record")
 
     record: FloatArray  # (24,) rows of the rotation, then the translation, at start and end
+    packed: bytes  # of the record
     margin: float
     growth: float
 
@@ -55,6 +56,7 @@ class Motion:
             )
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
+        object.__setattr__(self, "packed", record.tobytes())
         object.__setattr__(self, "margin", checked_length("margin", margin))
         object.__setattr__(self, "growth", checked_length("growth", growth))
 
@@ -70,14 +72,14 @@ class Motion:
         return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:].copy())
 
     def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, Motion)
-            and (self.margin, self.growth) == (other.margin, other.growth)
-            and bool(np.array_equal(self.record, other.record))
-        )
+        return isinstance(other, Motion) and self._parts == other._parts
 
     def __hash__(self) -> int:
-        return hash((self.record.tobytes(), self.margin, self.growth))
+        return hash(self._parts)
+
+    @property
+    def _parts(self) -> tuple[bytes, float, float]:
+        return self.packed, self.margin, self.growth
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Motion, (self.start, self.end, self.margin, self.growth)

@@ -24,6 +24,7 @@ from meshes.volume.grid import (
     Stored,
     Volume,
     checked,
+    planes_at_once,
     printable,
 )  # fmt: skip
 from meshes.volume.labels import label_counts
@@ -33,6 +34,10 @@ Progress = Callable[[float, str], None]
 """Called with the share that is done, 0 to 1, and a text."""
 
 _OR_LAYERS = ", or layers of a segmentation,"
+
+# An image of few grey values differs from voxel to voxel; of a label map with hundreds of regions
+# some nine in ten pairs of neighbours are alike.
+_FEW, _ALIKE = 30, 0.4
 
 Box = tuple[slice, slice, slice]
 
@@ -216,7 +221,25 @@ def _counts(values: NDArray[Any]) -> dict[int, int]:
         )
     if counts and min(counts) < 0:
         raise MeshError(f"is no label map: it has negative values, such as {min(counts)} {image}")
+    if len(counts) > _FEW and (share := _alike(values)) < _ALIKE:
+        raise MeshError(
+            f"is an image and no label map: of {len(counts)} different values, only "
+            f"{100 * share:.0f} % of the voxels have the same as the next one {image}"
+        )
     return counts
+
+
+def _alike(values: NDArray[Any]) -> float:
+    """The share of voxels with the value of the next one, where neither is background."""
+    alike, both = 0, 0
+    step = planes_at_once(values)
+    for first in range(0, values.shape[0], step):
+        part = values[first : first + step]
+        here, there = part[:, :-1], part[:, 1:]
+        labelled = (here != 0) & (there != 0)
+        both += int(np.count_nonzero(labelled))
+        alike += int(np.count_nonzero(labelled & (here == there)))
+    return alike / both if both else 1.0
 
 
 def _parts(

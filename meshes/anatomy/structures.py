@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from meshes.errors import MeshError
 from meshes.formats import FORMATS, kind
 from meshes.load import read
 from meshes.volume.files import FORMATS as VOLUMES
+from meshes.volume.surfaces import MOST_TRIANGLES
 
 SETS = {temporal_bone.NAME: temporal_bone.members}
 """Built-in sets of structures by name."""
@@ -69,7 +71,7 @@ def labels(
 
     Raises:
         meshes.MeshError: it cannot be read, or is no label map: values that are not whole numbers,
-            negative, or more than 500 different ones.
+            negative, more than 500 different ones, or different from voxel to voxel.
     """
     return tuple(part.label for part in read_map(path, table=table, spacing=spacing).parts)
 
@@ -129,6 +131,7 @@ def _of_map(
     parts = _chosen_parts(found.parts, wanted, str(file))
     work = np.cumsum([0.0] + [_size(part) for part in parts])
     result = []
+    triangles = 0
     for part, done in zip(parts, work, strict=False):
         say(0.2 + 0.8 * float(done / work[-1]), f"surface of {part.label.name}")
         assert part.box is not None  # parts without voxels are not chosen
@@ -139,6 +142,12 @@ def _of_map(
             vertices, faces = label_surface(found.layers[part.layer][part.box] == part.value, T)
         except MeshError as error:
             raise MeshError(f"{file}: {part.label.name}: {error}") from None
+        triangles += len(faces)
+        if triangles > MOST_TRIANGLES:
+            raise MeshError(
+                f"{file}: its surfaces have more than {MOST_TRIANGLES:,} triangles: choose some of "
+                f"its {len(parts)} labels"
+            )
         one = part.label
         result.append(Structure(one.name, one.colour, vertices, faces, one.number, found.frame))
     say(1.0, f"{len(result)} structures")
@@ -221,6 +230,13 @@ def _of_folder(
         raise MeshError(
             f"{folder}: no mesh files ({endings}) and no PNG files are in this folder "
             f"(a label map is given by its file: {', '.join(VOLUMES)})"
+        )
+    volumes = [one.name for one in sorted(folder.iterdir()) if one.name.lower().endswith(VOLUMES)]
+    if volumes:
+        warnings.warn(
+            f"{folder}: only mesh files are read of a folder, and not {', '.join(volumes)}: give "
+            "the file itself for the labels of a label map",
+            stacklevel=3,
         )
     names = _unique([_stem(file.name) for file in files], [file.name for file in files])
     if wanted:  # only these are read

@@ -224,22 +224,28 @@ def _placed(
 
 
 def _segments(keys: dict[str, str]) -> tuple[Segment, ...]:
-    """The segments of a 3D Slicer segmentation, in their order; () for another file."""
+    """The segments of a 3D Slicer segmentation, in their order; () for another file.
+
+    Slicer 4.10 and earlier wrote no label values: each segment is a layer of its own, of ones.
+    """
+    numbers = {
+        int(match[1])
+        for key in keys
+        if (match := re.fullmatch(r"Segment(\d+)_(LabelValue|ID|Name)", key))
+    }
     found = []
-    for key, value in keys.items():
-        if match := re.fullmatch(r"Segment(\d+)_LabelValue", key):
-            part = f"Segment{match[1]}"
-            colour = [float(word) for word in keys.get(f"{part}_Color", "").split()]
-            rgb = tuple(round(255 * min(max(share, 0.0), 1.0)) for share in colour)
-            found.append(
-                (
-                    int(match[1]),
-                    Segment(
-                        int(value),
-                        int(keys.get(f"{part}_Layer", 0)),
-                        printable(keys.get(f"{part}_Name", "")),
-                        (rgb[0], rgb[1], rgb[2]) if len(rgb) == 3 else None,
-                    ),
-                )
+    for number in sorted(numbers):
+        part = f"Segment{number}"
+        value = keys.get(f"{part}_LabelValue")
+        layer = int(keys.get(f"{part}_Layer", 0 if value else number))
+        colour = [float(word) for word in keys.get(f"{part}_Color", "").split()]
+        rgb = [round(255 * min(max(share, 0.0), 1.0)) for share in colour]
+        found.append(
+            Segment(
+                int(value or 1),
+                layer,
+                printable(keys.get(f"{part}_Name", "")),
+                (rgb[0], rgb[1], rgb[2]) if len(rgb) == 3 else None,
             )
-    return tuple(segment for _number, segment in sorted(found, key=lambda one: one[0]))
+        )
+    return tuple(found)

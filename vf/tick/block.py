@@ -24,6 +24,7 @@ class Block:
             their words.
         report: bytes of REPORT and of the planes behind it.
         head: bytes of REPORT.
+        poses: bytes of MOTIONS.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Block:
         self.sides = self._part(at.SIDES, len(searches), at.SIDE)
         self.sides[:] = np.nan
         self.motions = self._part(at.MOTIONS, len(searches), at.MOTION)
+        self.poses = self.motions.reshape(-1).data.cast("B")
         self._searches(searches)
         self._point(at.GUARDS, guarded.guards)
         self._point(at.BODY_TABLE, guarded.bodies)

@@ -66,17 +66,23 @@ def set_motions(words):  # type: ignore[no-untyped-def]
         if searches[f, at.MOVES] == 0:
             continue
         a, b = motions[f, at.FROM : at.FROM + 9], motions[f, at.TO : at.TO + 9]
-        r = np.empty(9)
-        for i in range(3):
-            for j in range(3):
-                r[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j]
-        x, y, z = rotation_log(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8])
+        x, y, z = rotation_log(
+            _entry(a, 0, b, 0), _entry(a, 0, b, 1), _entry(a, 0, b, 2),
+            _entry(a, 1, b, 0), _entry(a, 1, b, 1), _entry(a, 1, b, 2),
+            _entry(a, 2, b, 0), _entry(a, 2, b, 1), _entry(a, 2, b, 2),
+        )  # fmt: skip
         spin = np.sqrt(x * x + y * y + z * z)
         far = 0.0
         for k in range(9, 12):
             far += (motions[f, at.TO + k] - motions[f, at.FROM + k]) ** 2
         motions[f, at.SPIN] = spin
         motions[f, at.DRIFT] = np.sqrt(far) * (1.0 + 0.25 * spin * spin)
+
+
+@njit(cache=True)
+def _entry(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Entry (i, j) of aᵀ b, two rotations as nine numbers."""
+    return a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j]
 
 
 @njit(cache=True)

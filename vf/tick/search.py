@@ -218,7 +218,9 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             most = max(most, low)
             least = min(least, (space - thickness) / wider)
             m += found
-            reach = min(reach, max(valid - more, 0.0) if more > 0.0 else valid)
+            if more > 0.0:
+                valid = radius if valid >= radius + more else max(valid - more, 0.0)
+            reach = min(reach, valid)
         # Closer than standoff and margin to two fixtures: the tool may come as close to the farther
         # one as it is to the nearer one, as between two walls of one fixture (`certified.walk`).
         # Margins are lowered first, by the same length.

@@ -74,6 +74,7 @@ def yield_more(words, numbers, table, planes, J, scratch, multipliers):  # type:
         numbers[at.LOW] = numbers[at.GIVEN_UP]
     else:
         numbers[at.HIGH] = numbers[at.GIVEN_UP]
+        words[at.FOUND_BY] = words[at.SOLVER]
         shortened(numbers, table, J, scratch, at.STEP)
         for i in range(words[at.COUNT]):
             planes[i, at.PUSH] = multipliers[i]

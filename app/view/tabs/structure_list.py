@@ -18,7 +18,6 @@ from app.view import palette
 from app.view.context import PageContext
 from app.view.controls.fields import NumberField, show
 from app.view.drawing.fixture import MIN_PUSH
-from app.view.part import Part
 from app.view.tabs.depth import part_gaps
 
 EYE, GUARD, CHOOSE = "eye", "guard", "choose"  # the orders of the list's buttons
@@ -32,8 +31,10 @@ _EYE = (
 FAR = 9.999  # distances beyond this are not written [m]
 
 
-class StructureList(Part):
+class StructureList:
     """All structures in a row each, with buttons; below it the controls of the chosen one.
+
+    A part of the tab "Mesh", which calls it.
 
     The rows change only with settings. The distances and which structure holds the tool are a style
     sheet beside them, so that a row that is being clicked stays the same element.

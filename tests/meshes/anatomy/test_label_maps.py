@@ -76,6 +76,23 @@ def test_layers_of_a_segmentation_overlap(tmp_path: Path, first_axis: bool, enco
     assert (parts[0].vertices < high + 1e-4).all()
 
 
+@pytest.mark.parametrize("first_axis", [True, False])
+def test_segmentations_of_slicer_before_5_have_a_layer_of_ones_a_segment(
+    tmp_path: Path, first_axis: bool
+) -> None:
+    layers = np.stack([maps.LABELS == 1, maps.LABELS == 5], axis=3).astype(np.uint8)
+    keys = maps.slicer_keys([(0, 0, "kidney", (1, 2, 3)), (0, 0, "tube", (4, 5, 6))])
+    keys = "".join(f"{line}\n" for line in keys.split("\n") if line and "Layer" not in line)
+    keys = "".join(f"{line}\n" for line in keys.split("\n") if line and "LabelValue" not in line)
+    path = files.write_nrrd(
+        tmp_path / "old.seg.nrrd", layers, maps.T_MM, extra=keys, first_axis=first_axis
+    )
+    found = meshes.labels(path)
+    assert named(found) == {1: "kidney", 2: "tube"}
+    assert [one.voxels for one in found] == [960, 16]
+    assert coloured(found) == {1: (1, 2, 3), 2: (4, 5, 6)}
+
+
 def test_several_volumes_that_are_no_segmentation_are_refused(tmp_path: Path) -> None:
     series = np.stack([maps.LABELS, maps.LABELS], axis=3)
     path = files.write_nrrd(tmp_path / "s.nrrd", series, maps.T_MM)
@@ -212,6 +229,7 @@ def images() -> dict[str, tuple[np.ndarray, str]]:
         "fractions": (rng.random(maps.SHAPE), "values that are not whole numbers"),
         "infinite": (np.where(maps.LABELS == 1, np.inf, 0.0), "not whole numbers"),
         "ct": (rng.integers(-1000, 3000, maps.SHAPE).astype(np.int16), "more than 500 different"),
+        "grey": (rng.integers(0, 90, maps.SHAPE).astype(np.uint8), "only 1 % of the voxels"),
         "negative": (maps.LABELS.astype(np.int16) - 1, "negative values, such as -1"),
         "empty": (np.zeros(maps.SHAPE, dtype=np.uint8), "all are background"),
     }
@@ -228,6 +246,14 @@ def test_what_is_no_label_map_is_refused_by_name(tmp_path: Path, name: str) -> N
         assert why in text
         assert text.startswith(f"{path}: ")
         assert "\n" not in text
+
+
+def test_a_map_of_many_small_regions_is_read(tmp_path: Path) -> None:
+    """Regions of 3 × 3 × 3 voxels, each with its own label: two of three neighbours are alike."""
+    i, j, k = (np.arange(n) // 3 for n in maps.SHAPE)
+    values = (1 + i[:, None, None] * 72 + j[:, None] * 8 + k).astype(np.int16) % 400
+    path = files.write_nifti(tmp_path / "regions.nii", values, maps.T_MM)
+    assert len(meshes.labels(path)) == 399
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from pathlib import Path
 
@@ -219,6 +220,14 @@ def test_labels_that_are_not_there_are_refused(tmp_path: Path, chosen: int | str
     assert "choose of 1 Left kidney, 2 sheet, 5 tube, 9 drop" in str(caught.value)
 
 
+def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = maps.write_seg_nrrd(tmp_path / "x.seg.nrrd")
+    monkeypatch.setattr("meshes.anatomy.structures.MOST_TRIANGLES", 1500)
+    with pytest.raises(meshes.MeshError, match="choose some of its 4 labels"):
+        meshes.structures(path)
+    assert len(meshes.structures(path, [9])) == 1
+
+
 def test_a_mesh_file_is_one_structure_and_a_folder_one_a_file(tmp_path: Path) -> None:
     for name, mesh, frame in (("b.stl", "cube", "LPS"), ("a.ply", "torus", "LPS")):
         meshes.save(tmp_path / name, *meshes.arrays(mesh), unit="mm", frame=frame, overwrite=False)
@@ -250,6 +259,13 @@ def test_a_folder_of_both_frames_becomes_one_and_an_unknown_one_is_refused(tmp_p
         meshes.structures(tmp_path, unit="mm")
 
 
+def test_label_maps_in_a_folder_of_meshes_are_left_out_with_a_warning(tmp_path: Path) -> None:
+    meshes.save(tmp_path / "a.stl", *meshes.arrays("cube"), unit="mm", frame=None, overwrite=False)
+    maps.write_seg_nrrd(tmp_path / "case.seg.nrrd")
+    with pytest.warns(UserWarning, match=r"and not case\.seg\.nrrd: give the file itself"):
+        assert [one.name for one in meshes.structures(tmp_path, unit="mm")] == ["a"]
+
+
 def test_files_of_one_stem_keep_their_endings_and_an_empty_folder_is_refused(
     tmp_path: Path,
 ) -> None:
@@ -258,6 +274,28 @@ def test_files_of_one_stem_keep_their_endings_and_an_empty_folder_is_refused(
     for name in ("a.stl", "a.ply"):
         meshes.save(tmp_path / name, *meshes.arrays("cube"), unit="mm", frame=None, overwrite=False)
     assert [one.name for one in meshes.structures(tmp_path, unit="mm")] == ["a.ply", "a.stl"]
+
+
+@pytest.mark.slow
+def test_fifteen_labels_of_256_cubed_take_less_than_30_s(tmp_path: Path) -> None:
+    """To surfaces ready for fixtures; in processor time, as machines are shared."""
+    import vf
+
+    rng = np.random.default_rng(0)
+    p = np.stack(np.indices((256, 256, 256), dtype=np.float32), axis=-1)
+    values = np.zeros((256, 256, 256), dtype=np.uint8)
+    for label in range(1, 16):
+        centre, radii = rng.uniform(40, 216, 3), rng.uniform(15, 40, 3)
+        values[(((p - centre.astype("f4")) / radii.astype("f4")) ** 2).sum(axis=-1) < 1] = label
+    del p
+    keys = maps.slicer_keys([(0, k, f"organ {k}", (k, 2 * k, 3 * k)) for k in range(1, 16)])
+    path = files.write_nrrd(tmp_path / "x.seg.nrrd", values, np.diag([0.8] * 3 + [1]), extra=keys)
+    begin = time.process_time()
+    found = meshes.structures(path)
+    surfaces = [vf.Surface.from_arrays(one.vertices, one.faces) for one in found]
+    assert time.process_time() - begin < 30.0
+    assert len(surfaces) == 15
+    assert sum(len(one.faces) for one in found) > 300_000
 
 
 @pytest.mark.slow

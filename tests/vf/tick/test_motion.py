@@ -14,6 +14,9 @@ import vf
 from tests.support import moving, naive
 from tests.support.ticks import UM, plate, pose
 from vf import Status
+from vf.layout import MOTION, MOVES, SPIN
+from vf.tick.block import Block
+from vf.tick.moving import bend, more_reach, set_motions
 
 STANDOFF = 20 * UM
 HERE = pin.SE3.Identity()
@@ -269,6 +272,46 @@ def overlap(triangles: np.ndarray, p: np.ndarray, radius: float) -> float:
     return radius + (deep if deep > 0.0 else -float(naive.closest(triangles, p)[1].min()))
 
 
+def test_what_motion_adds_to_a_path_and_to_the_ball_is_bounded() -> None:
+    """Sampled: a constant twist, and an origin that goes straight while the axes turn."""
+    rng = np.random.default_rng(8)
+    tightest = 0.0
+    for _ in range(300):
+        start = pin.SE3(naive.rotation(rng), rng.normal(size=3) * 0.1)
+        turn = 10 ** rng.uniform(-4, -0.3)
+        end = start * twisted(rng, 10 ** rng.uniform(-4, -1), turn)
+        if rng.random() < 0.3:
+            end = start * pin.SE3(pin.exp3(naive.unit(rng) * turn), np.zeros(3))
+        x = start.translation + rng.normal(size=3) * 10 ** rng.uniform(-3, -1)
+        y = x + rng.normal(size=3) * 10 ** rng.uniform(-5, -1.5)
+        record = np.zeros((1, MOTION))
+        record[0, :SPIN] = vf.Motion(start, end).record
+        block = Block(3, None, [None])
+        block.motions[:] = record
+        block.searches[0, MOVES] = 1
+        set_motions(block.words)
+        row = block.motions[0]
+        d = float(np.linalg.norm(y - x))
+        most = bend(row, x, d)
+        ball_ = d + more_reach(row, x, d)
+        log = pin.log3(start.rotation.T @ end.rotation)
+        for screw in (True, False):
+            for share in np.linspace(0.0, 1.0, 9):
+                T = moving.between(start, end, share)
+                if not screw:
+                    T = pin.SE3(
+                        start.rotation @ pin.exp3(share * log),
+                        (1.0 - share) * start.translation + share * end.translation,
+                    )
+                seen = T.actInv(x + share * (y - x))
+                chord = (1.0 - share) * start.actInv(x) + share * end.actInv(y)
+                off = float(np.linalg.norm(seen - chord))
+                assert off <= most + 1e-15
+                assert np.linalg.norm(seen - start.actInv(x)) <= ball_ + 1e-15
+                tightest = max(tightest, off / most)
+    assert tightest > 0.5
+
+
 def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
     """A tool and a structure that both move at random towards each other, every tick judged."""
     rng = np.random.default_rng(seed)
@@ -282,10 +325,11 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
     settings = vf.Settings(dt=dt, tip_radius=tip_radius)
     controller = vf.Controller(arm, [fixture], settings)
     T = pin.SE3(naive.rotation(rng), rng.normal(size=3) * 0.02)
-    q = T.act(np.array([0.002, 0.003, 0.0125]))
+    q = T.act(np.array([0.002, 0.003, 0.0125 if seed % 3 else 0.0025]))
     counts = dict.fromkeys(Status, 0)
     twist = np.zeros(6)
     aim = q
+    contacts = 0
     for k in range(ticks):
         if k % 25 == 0:
             towards = T.rotation.T @ (q - T.translation)
@@ -302,6 +346,8 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
         case = f"seed {seed}, tick {k}, {step.status.name}"
         way = step.q - q
         began = moving.depth(triangles, T.actInv(q)) if seed % 3 else -1.0
+        near = float(naive.closest(triangles, T.actInv(q))[1].min()) - tip_radius - margin
+        contacts += near < 2 * STANDOFF
         if step.status is Status.OVERTAKEN:
             if seed % 3:
                 # Of a tip that overlapped when the tick began the centre alone is promised.
@@ -318,6 +364,7 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
             )  # fmt: skip
             assert least > moving.TOUCH, f"{case}: clearance {least}"
         q, T = step.q, after
+    assert contacts > ticks / 20  # or nothing was tried
     return counts
 
 

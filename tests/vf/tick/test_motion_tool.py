@@ -28,6 +28,7 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
     counts = dict.fromkeys(Status, 0)
     q, T, twist, goal = arm.neutral, pin.SE3.Identity(), np.zeros(6), arm.tip(arm.neutral)
     clear = False
+    contacts = 0
     for k in range(ticks):
         if k % 200 == 0:
             # Beside a random place of a random capsule.
@@ -39,7 +40,8 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
             if along > 0.0:
                 u = np.cross(u, b - a)
                 u /= np.linalg.norm(u)
-            place = a + rng.uniform(0.35, 1.0) * (b - a) + (0.016 + arm.capsules[number].radius) * u
+            apart = 0.5 * np.linalg.norm(shape.extents) + arm.capsules[number].radius + 1e-3
+            place = a + rng.uniform(0.35, 1.0) * (b - a) + apart * u
             T = pin.SE3(naive.rotation(rng), place)
             clear = True
         if k % 25 == 0:
@@ -47,7 +49,7 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
             a, b = arm.axes(q)[number]
             towards = a + rng.uniform(0.35, 1.0) * (b - a) - T.translation
             towards = T.rotation.T @ towards / max(np.linalg.norm(towards), 1e-9)
-            twist[:3] = 0.2 * rng.random() * (0.8 * towards + 0.3 * naive.unit(rng))
+            twist[:3] = 0.2 * rng.uniform(0.4, 1.0) * (0.8 * towards + 0.3 * naive.unit(rng))
             twist[3:] = 2.0 * rng.random() * naive.unit(rng)
             goal = arm.tip(q)
             goal = pin.SE3(goal.rotation, goal.translation + rng.normal(size=3) * 0.01)
@@ -56,6 +58,8 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
         step = controller.step(q, target, motions=[vf.Motion(T, after)])
         counts[step.status] += 1
         case = f"seed {seed}, tick {k}, {step.status.name}"
+        touched = float(np.min(step.planes.slack(step.tip.translation), initial=1.0)) < STANDOFF
+        contacts += touched or bool((step.multipliers > 0.0).any())
         least = moving.capsules_clearance(arm, q, step.q, triangles, T, after)
         if step.status is Status.OVERTAKEN:
             assert -min(least, 0.0) <= step.violation, f"{case}: {least}, {step.violation}"
@@ -63,6 +67,7 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
         elif clear and step.status is not Status.INSIDE:
             assert least > 0.0, f"{case}: clearance {least}"
         q, T = step.q, after
+    assert contacts > ticks / 20  # or nothing was tried
     return counts
 
 
