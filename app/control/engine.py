@@ -22,6 +22,8 @@ from robots import Arm
 
 log = logging.getLogger(__name__)
 
+Told = tuple[list[vf.Motion | None], ...]  # motions, as `vf.Controller.step` takes them, or empty
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -324,7 +326,7 @@ class Engine:
             self._hold(motions)
             return
         try:
-            step = plant.controller.step(self._q, self._target, motions)
+            step = plant.controller.step(self._q, self._target, *motions)
         except Exception:
             self._fail()
             return
@@ -332,10 +334,10 @@ class Engine:
         self._step = step
         self._tip = step.tip
 
-    def _told(self, pace: float) -> list[vf.Motion | None] | None:
+    def _told(self, pace: float) -> Told:
         """Let the structures move for a tick; returns what the controller is told of it."""
         if not self._movement.moves:
-            return None
+            return ()
         before = self._phase_before = self._phase
         self._phase = before + pace * self._plant.dt
         try:
@@ -345,11 +347,11 @@ class Engine:
             if not self._failed:
                 self._failed = True
                 log.exception("the motion of structures could not be computed; the tool holds")
-            return None
+            return ()
         self._lost = told.stale
-        return self._plant.motions(told.motions)
+        return (self._plant.motions(told.motions),)
 
-    def _hold(self, motions: list[vf.Motion | None] | None = None, yields: bool = True) -> None:
+    def _hold(self, motions: Told = (), yields: bool = True) -> None:
         """Compute planes and distance at the tip without moving: zero force, the same joints.
 
         But a tool that structures come to yields, if it may.
@@ -357,11 +359,11 @@ class Engine:
         plant = self._plant
         try:
             tip = plant.arm.tip(self._q)
-            step = plant.controller.step(self._q, tip, motions)
+            step = plant.controller.step(self._q, tip, *motions)
         except Exception:
             self._fail()
             return
-        if motions is not None and yields and self._known and step.status is not vf.Status.REFUSED:
+        if motions and yields and self._known and step.status is not vf.Status.REFUSED:
             self._move_to(_frozen(step.q))
             self._tip = step.tip
             held = (self._stale or self._lost) and step.status is not vf.Status.OVERTAKEN

@@ -5,6 +5,7 @@ All of it is a function of the time and of the tracker's settings: a run repeats
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, inf
@@ -60,7 +61,7 @@ class Tracking:
         self._tracker = tracker
         self._sightings: dict[int, Sighting | None] = {}
         self._worst: dict[int, float] = {}
-        self._errors: tuple[int, float | None] = (-1, None)  # of the last sighting asked for
+        self._window = _Window(-1)
         self._kept = floor((tracker.period + tracker.stale + tracker.latency) * tracker.rate) + 1000
 
     def sighting(self, number: int) -> Sighting | None:
@@ -148,25 +149,57 @@ class Tracking:
         None: less than a period has been predicted. What was seen is compared with what was seen a
         period before.
         """
-        if self._errors[0] != last:
-            self._errors = last, self._find_error(last)
-        return self._errors[1]
-
-    def _find_error(self, last: int) -> float | None:
         tracker = self._tracker
-        first = last - floor(tracker.period * tracker.rate)
-        worst, count = 0.0, 0
-        for number in range(first, last + 1):
-            if number not in self._worst:
-                seen = self.sighting(number) if number >= 0 else None
-                then = None if seen is None else self._between(seen.time - tracker.period, number)
-                self._worst[number] = (
-                    -1.0
-                    if seen is None or then is None
-                    else float(np.linalg.norm(seen.pose.translation - then.translation))
-                )
-            if self._worst[number] >= 0.0:
-                worst, count = max(worst, self._worst[number]), count + 1
+        span = floor(tracker.period * tracker.rate)
+        window = self._window
+        if not window.last <= last <= window.last + span:
+            window = self._window = _Window(last - span - 1)
+        for number in range(window.last + 1, last + 1):
+            window.add(self._found_error(number), number - span)
         known = 2.0 * LARGEST_ERROR * tracker.noise
-        enough = count >= (1.0 - tracker.dropouts) ** 3 * 0.5 * (last - first)
-        return 2.0 * worst + known + tracker.bound / tracker.rate if enough else None
+        enough = window.count >= (1.0 - tracker.dropouts) ** 3 * 0.5 * span
+        return 2.0 * window.worst + known + tracker.bound / tracker.rate if enough else None
+
+    def _found_error(self, number: int) -> float:
+        """By how much a prediction of a sighting was off [m]; negative: there was none."""
+        if number not in self._worst:
+            seen = self.sighting(number) if number >= 0 else None
+            then = None if seen is None else self._between(seen.time - self._tracker.period, number)
+            self._worst[number] = (
+                -1.0
+                if seen is None or then is None
+                else float(np.linalg.norm(seen.pose.translation - then.translation))
+            )
+        return self._worst[number]
+
+
+class _Window:
+    """The largest of the last errors, each looked at once.
+
+    Attributes:
+        last: number of the newest.
+        count: how many there are.
+    """
+
+    def __init__(self, last: int) -> None:
+        self.last, self.count = last, 0
+        self._known: deque[int] = deque()
+        self._falling: deque[tuple[int, float]] = deque()  # the largest first
+
+    @property
+    def worst(self) -> float:
+        return self._falling[0][1] if self._falling else 0.0
+
+    def add(self, error: float, first: int) -> None:
+        """Add the error of the next number (negative: none), forget those before the first."""
+        self.last += 1
+        if error >= 0.0:
+            self._known.append(self.last)
+            while self._falling and self._falling[-1][1] <= error:
+                self._falling.pop()
+            self._falling.append((self.last, error))
+        while self._known and self._known[0] < first:
+            self._known.popleft()
+        while self._falling and self._falling[0][0] < first:
+            self._falling.popleft()
+        self.count = len(self._known)
