@@ -33,32 +33,34 @@ class Motion:
         growth: of the margin since the last tick [m]: the tool is led out by that much faster.
 
     Raises:
-        ValueError: not a pose, not finite, too far from the base, its rotation is not one, from
+        ValueError: not a pose, not finite, too far from the base, its rotation is not one, or from
             start to end it turns by 3 rad or more, or margin or growth is no length.
     """
 
-    __slots__ = ("growth", "margin", "packed", "record")
+    __slots__ = ("packed", "record")
 
-    record: FloatArray  # (24,) rows of the rotation, then the translation, at start and end
+    # (28,) rows of the rotation, then the translation, at start and end; how far it turns [rad]
+    # and, a bound, its origin goes [m]; margin and growth [m].
+    record: FloatArray
     packed: bytes  # of the record
-    margin: float
-    growth: float
 
     def __init__(
         self, start: pin.SE3, end: pin.SE3, margin: float = 0.0, growth: float = 0.0
     ) -> None:
-        record = np.concatenate([_numbers("start", start), _numbers("end", end)])
-        R0, R1 = record[:9].reshape(3, 3), record[12:21].reshape(3, 3)
-        turn = float(np.arccos(np.clip(0.5 * (np.sum(R0 * R1) - 1.0), -1.0, 1.0)))
+        poses = np.concatenate([_numbers("start", start), _numbers("end", end)])
+        R0, R1 = poses[:9].reshape(3, 3), poses[12:21].reshape(3, 3)
+        turn = float(np.linalg.norm(pin.log3(R0.T @ R1)))
         if turn >= LARGEST_TURN:
             raise ValueError(
                 f"a structure must turn by less than {LARGEST_TURN:g} rad in a tick, got {turn:.3g}"
             )
+        # Of a constant twist the origin's path is longer than the way.
+        drift = float(np.linalg.norm(poses[21:] - poses[9:12])) * (1.0 + 0.25 * turn * turn)
+        margins = [checked_length("margin", margin), checked_length("growth", growth)]
+        record = np.concatenate([poses, [turn, drift], margins])
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
         object.__setattr__(self, "packed", record.tobytes())
-        object.__setattr__(self, "margin", checked_length("margin", margin))
-        object.__setattr__(self, "growth", checked_length("growth", growth))
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("a Motion does not change: make another")
@@ -69,23 +71,27 @@ class Motion:
 
     @property
     def end(self) -> pin.SE3:
-        return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:].copy())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Motion) and self._parts == other._parts
-
-    def __hash__(self) -> int:
-        return hash(self._parts)
+        return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:24].copy())
 
     @property
-    def _parts(self) -> tuple[bytes, float, float]:
-        return self.packed, self.margin, self.growth
+    def margin(self) -> float:
+        return float(self.record[26])
+
+    @property
+    def growth(self) -> float:
+        return float(self.record[27])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Motion) and self.packed == other.packed
+
+    def __hash__(self) -> int:
+        return hash(self.packed)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Motion, (self.start, self.end, self.margin, self.growth)
 
     def __repr__(self) -> str:
-        return f"Motion({self.record[9:12].tolist()} → {self.record[21:].tolist()} m)"
+        return f"Motion({self.record[9:12].tolist()} → {self.record[21:24].tolist()} m)"
 
 
 def _numbers(name: str, pose: Any) -> FloatArray:

@@ -21,8 +21,7 @@ from app.settings import Options, Structure
 from robots import Arm
 
 log = logging.getLogger(__name__)
-
-Told = tuple[list[vf.Motion | None], ...]  # motions, as `vf.Controller.step` takes them, or empty
+Told = tuple[list[vf.Motion | None], ...]  # of `vf.Controller.step`; empty: nothing moves
 
 
 @dataclass(frozen=True)
