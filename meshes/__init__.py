@@ -1,6 +1,10 @@
 """Meshes for virtual fixtures: catalogue, files, health report, repair, placement. Lengths in m."""
 
+from meshes.anatomy.maps import Label
+from meshes.anatomy.margins import margins
+from meshes.anatomy.structures import Structure, labels, structures
 from meshes.builtin.catalogue import Entry, absent, catalogue, names, planned_path
+from meshes.builtin.deforming import Deforming, deforming
 from meshes.checks.health import health
 from meshes.checks.repair import Changes, Repaired, repair
 from meshes.checks.report import Finding, Health
@@ -20,24 +24,30 @@ __all__ = [
     "UPS",
     "WRITABLE",
     "Changes",
+    "Deforming",
     "Display",
     "Entry",
     "Finding",
     "Health",
+    "Label",
     "Loaded",
     "MeshError",
     "Placement",
     "Repaired",
+    "Structure",
     "UnitGuess",
     "UnitNeeded",
     "absent",
     "arrays",
     "catalogue",
+    "deforming",
     "display",
     "frame_description",
     "health",
     "kind",
+    "labels",
     "load",
+    "margins",
     "names",
     "place",
     "placement",
@@ -46,5 +56,6 @@ __all__ = [
     "read_path",
     "repair",
     "save",
+    "structures",
     "transformed",
 ]

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import base64
 import binascii
+import lzma
 import re
 import zlib
 
+import numpy as np
+
 from meshes.content import cut_off
 from meshes.errors import MeshError
+from vf.kernels import njit
 
 _GZIP, _EITHER = 31, 47  # zlib's window bits: gzip only; zlib or gzip
+_XZ_MEMORY = 256 << 20  # [byte]
 MAGIC = b"\x1f\x8b"  # of gzip
 
 
@@ -40,12 +45,79 @@ def inflated(data: bytes, size: int) -> bytes:
     Raises:
         MeshError: damaged, or another number of bytes.
     """
-    part = _decompressed(zlib.decompressobj(_EITHER), data, size + 1)
+    return _of_size(_decompressed(zlib.decompressobj(_EITHER), data, size + 1), size)
+
+
+def unxz(data: bytes, size: int) -> bytes:
+    """The ``size`` bytes of xz data (LZMA); raises as `inflated`."""
+    try:
+        return _of_size(
+            lzma.LZMADecompressor(lzma.FORMAT_XZ, _XZ_MEMORY).decompress(data, size + 1), size
+        )
+    except (lzma.LZMAError, EOFError) as error:
+        raise MeshError(f"packed data is damaged ({error})") from None
+
+
+def lz4_block(data: bytes, size: int) -> bytes:
+    """The ``size`` bytes of one LZ4 block, without the frame of a file; raises as `inflated`."""
+    out = np.zeros(size, dtype=np.uint8)
+    written = _lz4(np.frombuffer(data, dtype=np.uint8), out)
+    if written < 0:
+        raise MeshError("packed data is damaged (LZ4)")
+    return _of_size(out[:written].tobytes(), size)
+
+
+def _of_size(part: bytes, size: int) -> bytes:
     if len(part) != size:
         raise cut_off(
             f"{size:,} bytes of a packed array", f"another number ({len(part):,} or more)"
         )
     return part
+
+
+@njit(cache=True, nogil=True)
+def _lz4(source, out):  # type: ignore[no-untyped-def]
+    """How many bytes were written; −1 where the block is damaged or holds more than fits."""
+    place, written = 0, 0
+    while place < len(source):
+        token = source[place]
+        place += 1
+        literals = np.int64(token >> 4)
+        if literals == 15:
+            more = np.int64(255)
+            while more == 255:
+                if place >= len(source):
+                    return -1
+                more = np.int64(source[place])
+                place += 1
+                literals += more
+        if place + literals > len(source) or written + literals > len(out):
+            return -1
+        out[written : written + literals] = source[place : place + literals]
+        place += literals
+        written += literals
+        if place == len(source):  # the last sequence has literals only
+            return written
+        if place + 2 > len(source):
+            return -1
+        back = np.int64(source[place]) | np.int64(source[place + 1]) << 8
+        place += 2
+        length = np.int64(token & 15)
+        if length == 15:
+            more = np.int64(255)
+            while more == 255:
+                if place >= len(source):
+                    return -1
+                more = np.int64(source[place])
+                place += 1
+                length += more
+        length += 4
+        if back == 0 or back > written or written + length > len(out):
+            return -1
+        for k in range(length):  # may overlap what it copies from
+            out[written + k] = out[written - back + k]
+        written += length
+    return -1
 
 
 def _decompressed(unpacker: zlib._Decompress, data: bytes, most: int) -> bytes:

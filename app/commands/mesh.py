@@ -1,4 +1,4 @@
-"""Meshes: list the catalogue, check a file, repair it, make one from a volume."""
+"""Meshes: list the catalogue, check a file, repair it, make one from a volume; list labels."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from app.commands import interrupted
+from app.commands._mesh_labels import Labels, print_labels
 from app.console import console as new_console
 from app.console import count, progress
 from app.kinds import File, Length, Maybe, Number, Switch, Whole
@@ -383,4 +384,5 @@ KINDS = {
     "check": (Check, _unless_interrupted("check", _check, "no report yet")),
     "repair": (Repair, _unless_interrupted("repair", _repair, NOTHING)),
     "from-volume": (FromVolume, _unless_interrupted("from-volume", _from_volume, NOTHING)),
+    "labels": (Labels, _unless_interrupted("labels", print_labels, "no labels yet")),
 }

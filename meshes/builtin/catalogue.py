@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.builtin import cache, packaged, shapes, skull
+from meshes.builtin import cache, deforming, packaged, shapes, skull
 from meshes.content import Arrays
 from meshes.errors import MeshError
 
@@ -138,6 +138,9 @@ _ENTRIES = (
     _generated("thin-plate", shapes.thin_plate, "0.5 mm thick, 100 × 100 mm."),
     _generated("saddle-slab", shapes.saddle_slab, "Waves: bowls, saddles; 96 mm."),
     _generated("gyroid", shapes.gyroid, "Winding channels, genus 31; ⌀ 50 mm."),
+    _generated("heart", partial(deforming.rest, "heart"), "A heart’s outside at rest; 110 mm."),
+    _generated("liver", partial(deforming.rest, "liver"), "A liver’s outside at rest; 200 mm."),
+    _generated("vessel", partial(deforming.rest, "vessel"), "A bent vessel at rest; ⌀ 12 × 92 mm."),
 )
 _FROM_NILEARN = (
     _packaged(

@@ -1,4 +1,7 @@
-"""Reading VTP, VTK's XML polydata: text, base64 and appended data, plain or packed with zlib."""
+"""Reading VTP, VTK's XML polydata: text, base64 and appended data, plain or packed.
+
+Packed with zlib, LZ4 or LZMA, all that VTK writes.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from meshes import frames, xmlfile
 from meshes.content import Content, check_unpacked, cut_off
 from meshes.errors import MeshError
 from meshes.formats import text
-from meshes.packed import base64_bytes, inflated
+from meshes.packed import base64_bytes, inflated, lz4_block, unxz
 from meshes.polygons import Lists, body
 
 _TYPES = {
@@ -20,7 +23,11 @@ _TYPES = {
     "Int64": "i8", "UInt64": "u8", "Float32": "f4", "Float64": "f8", "String": "i1",
 }  # fmt: skip
 _ORDERS = {"LittleEndian": "<", "BigEndian": ">"}
-_ZLIB = "vtkZLibDataCompressor"
+_PACKERS = {
+    "vtkZLibDataCompressor": inflated,
+    "vtkLZ4DataCompressor": lz4_block,
+    "vtkLZMADataCompressor": unxz,
+}
 _PARTS = ("Points", "Polys", "Strips", "FieldData")
 
 
@@ -89,9 +96,9 @@ class _File:
         if kind != "PolyData":
             raise MeshError(f"VTK data of type {kind[:40]}, not PolyData: extract the surface")
         packer = self._head.get("compressor", "")
-        if packer not in ("", _ZLIB):
-            raise MeshError(f"packed with {packer[:60]}: only zlib is read")
-        self._packed = packer == _ZLIB
+        if packer and packer not in _PACKERS:
+            raise MeshError(f"packed with {packer[:60]}: zlib, LZ4 and LZMA are read")
+        self._unpack = _PACKERS.get(packer)
         self._order = _ORDERS.get(self._head.get("byte_order", "LittleEndian"), "<")
         wide = self._head.get("header_type", "UInt32")
         self._word = np.dtype(self._order + ("u8" if wide == "UInt64" else "u4"))
@@ -189,7 +196,7 @@ class _File:
             return size if raw else -(-size // 3) * 4
 
         word = self._word.itemsize
-        if not self._packed:
+        if self._unpack is None:
             # Header and data may be encoded together or separately.
             apart = raw or source[offset : offset + width(word)].endswith(b"=")
             size = int(np.frombuffer(piece(offset, word), self._word)[0])
@@ -211,7 +218,7 @@ class _File:
         packed = piece(offset + width(word * (3 + blocks)), int(sizes.sum()))
         ends = np.cumsum(sizes)
         return b"".join(
-            inflated(packed[end - size : end], most)
+            self._unpack(packed[end - size : end], most)
             for end, size, most in zip(ends, sizes, wanted, strict=True)
         )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from meshes.errors import MeshError
 from meshes.volume import dicom, metaimage, nifti, nrrd
-from meshes.volume.grid import Stored, Volume, checked, printable
+from meshes.volume.grid import SeveralVolumes, Stored, Volume, checked, printable
 from meshes.volume.payload import head
 
 FORMATS = (
@@ -42,7 +42,8 @@ def read(
         say("reading the volume")
         found = checked(_stored(file, volume), file.name)
     except MeshError as error:
-        raise MeshError(f"{file}: {printable(str(error))}") from None
+        kind = SeveralVolumes if isinstance(error, SeveralVolumes) else MeshError
+        raise kind(f"{file}: {printable(str(error))}") from None
     except OSError as error:
         raise MeshError(f"{file}: cannot be read ({error.strerror or error})") from None
     # Any other exception of the readers is caused by a damaged header.

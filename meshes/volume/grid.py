@@ -49,6 +49,27 @@ class Volume:
 
 
 @dataclass(frozen=True)
+class Segment:
+    """A structure that a label map names.
+
+    Attributes:
+        value: of its voxels.
+        layer: index of the volume that holds them: layers may overlap.
+        name: as the file has it.
+        colour: red, green, blue, 0 to 255; None if the file gives none.
+    """
+
+    value: int
+    layer: int
+    name: str
+    colour: tuple[int, int, int] | None
+
+
+class SeveralVolumes(MeshError):
+    """A file holds several volumes and none is chosen."""
+
+
+@dataclass(frozen=True)
 class Stored:
     """The result of a format's reader: a `Volume` in millimetres, not checked."""
 
@@ -156,12 +177,13 @@ def one_of(count: int, chosen: int | None, what: str) -> int:
     """The index of the volume to read from a file with ``count`` of them.
 
     Raises:
-        MeshError: none chosen of several, or out of range.
+        SeveralVolumes: none chosen of several.
+        MeshError: out of range.
     """
     if chosen is None and count == 1:
         return 0
     if chosen is None:
-        raise MeshError(f"holds {count} {what}: choose one of 0 to {count - 1} (--volume)")
+        raise SeveralVolumes(f"holds {count} {what}: choose one of 0 to {count - 1} (--volume)")
     if not 0 <= chosen < count:
         are = f"{count} {what}: 0 to {count - 1}" if count > 1 else "one volume: 0"
         raise MeshError(f"there is no volume {chosen}: it holds {are}")

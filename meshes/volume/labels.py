@@ -35,7 +35,7 @@ def describe_values(volume: Volume) -> str:
     if known.count == 0:
         return "no voxel has a finite value"
     text = f"its values run from {known.low:g} to {known.high:g}"
-    counts = _counts(values) if known.count == values.size else None
+    counts = label_counts(values) if known.count == values.size else None
     if counts is None:
         return text
     names = dict(volume.names)
@@ -47,7 +47,7 @@ def describe_values(volume: Volume) -> str:
     return f"{text}; as labels: {', '.join(parts[:_MOST_LISTED]) or 'none'}{more}"
 
 
-def _counts(values: NDArray[Any]) -> Counter[int] | None:
+def label_counts(values: NDArray[Any]) -> Counter[int] | None:
     """How many voxels have each label but 0; None for an image."""
     counts: Counter[int] = Counter()
     step = planes_at_once(values)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from meshes.errors import MeshError
-from meshes.volume.grid import GUESS, FloatArray, Stored, one_of, printable
+from meshes.volume.grid import GUESS, FloatArray, Segment, Stored, one_of, printable
 from meshes.volume.payload import beside, required, text_voxels, voxels
 
 _MOST_HEADER = 4 << 20  # [bytes]
@@ -47,6 +48,7 @@ _MM = {
     **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers"), 1e-3),
 }
 _COLOURS = ("rgb-color", "rgba-color", "hsv-color", "xyz-color", "3-color", "4-color")
+_SEVERAL = "volumes, or layers of a segmentation,"
 _SPACE_KINDS = ("domain", "space", "???", "none", "")
 
 
@@ -56,6 +58,21 @@ def read(file: Path, volume: int | None) -> Stored:
     Raises:
         MeshError: in one line.
     """
+    return _read(file, lambda count: one_of(count, volume, _SEVERAL))
+
+
+def layers(file: Path) -> tuple[Stored, tuple[Segment, ...]]:
+    """All layers of a segmentation, ``(layer, i, j, k)`` in `Stored.values`, and its segments.
+
+    Raises:
+        MeshError: in one line; also several volumes that are no segmentation of 3D Slicer.
+    """
+    segments = _segments(_header(file)[1])
+    return _read(file, lambda count: None if segments else one_of(count, None, _SEVERAL)), segments
+
+
+def _read(file: Path, choose: Callable[[int], int | None]) -> Stored:
+    """The volume that is chosen by the number of them; None: all."""
     fields, keys, start = _header(file)
     sizes = [int(size) for size in required(fields, "sizes").split()]
     kind = required(fields, "type").lower()
@@ -76,7 +93,7 @@ def read(file: Path, volume: int | None) -> Stored:
     kinds = fields.get("kinds", "").lower().split()
     if others and len(kinds) == len(sizes) and kinds[place] in _COLOURS:
         raise MeshError("it is a colour image (red, green, blue): a level needs one value a voxel")
-    chosen = one_of(volumes, volume, "volumes, or layers of a segmentation,")
+    chosen = choose(volumes)
     data, start = _data(file, fields, start)
     dtype = np.dtype(_CODES[kind])
     if dtype.itemsize > 1 and fields["encoding"].lower() not in _TEXT:
@@ -106,7 +123,10 @@ def read(file: Path, volume: int | None) -> Stored:
     signs = _SIGNS.get(space)
     if signs is None or directions is None:
         return Stored(values, T, None, (*notes, GUESS.format("the file")))
-    names = _names(keys, chosen if first else 0)
+    layer = chosen or 0 if first else 0
+    names = tuple(
+        (one.value, one.name) for one in _segments(keys) if one.layer == layer and one.name
+    )
     return Stored(values, np.diag([*signs, 1.0]) @ T, "RAS", notes, names)
 
 
@@ -203,12 +223,29 @@ def _placed(
     return T, notes
 
 
-def _names(keys: dict[str, str], layer: int) -> tuple[tuple[int, str], ...]:
-    """Labels and names of a layer of a 3D Slicer segmentation."""
+def _segments(keys: dict[str, str]) -> tuple[Segment, ...]:
+    """The segments of a 3D Slicer segmentation, in their order; () for another file.
+
+    Slicer 4.10 and earlier wrote no label values: each segment is a layer of its own, of ones.
+    """
+    numbers = {
+        int(match[1])
+        for key in keys
+        if (match := re.fullmatch(r"Segment(\d+)_(LabelValue|ID|Name)", key))
+    }
     found = []
-    for key, value in keys.items():
-        if match := re.fullmatch(r"(Segment\d+)_LabelValue", key):
-            part = match[1]
-            if int(keys.get(f"{part}_Layer", 0)) == layer and keys.get(f"{part}_Name"):
-                found.append((int(value), printable(keys[f"{part}_Name"])))
+    for number in sorted(numbers):
+        part = f"Segment{number}"
+        value = keys.get(f"{part}_LabelValue")
+        layer = int(keys.get(f"{part}_Layer", 0 if value else number))
+        colour = [float(word) for word in keys.get(f"{part}_Color", "").split()]
+        rgb = [round(255 * min(max(share, 0.0), 1.0)) for share in colour]
+        found.append(
+            Segment(
+                int(value or 1),
+                layer,
+                printable(keys.get(f"{part}_Name", "")),
+                (rgb[0], rgb[1], rgb[2]) if len(rgb) == 3 else None,
+            )
+        )
     return tuple(found)

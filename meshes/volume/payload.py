@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import MeshError
-from meshes.volume.grid import MOST_BYTES, check_size
+from meshes.volume.grid import MOST_BYTES, MOST_VOXELS, check_size
 
 _CHUNK = 1 << 20
 _MOST_AFTER = 16 << 20  # [byte] decompressed after the voxels at most, to reach the checksum
@@ -100,21 +100,25 @@ def voxels(
     packed: str = "",
     skip: int = 0,
     volumes: int = 1,
-    volume: int = 0,
+    volume: int | None = 0,
     interleaved: bool = False,
 ) -> NDArray[Any]:
     """One volume ``shape`` of three dimensions, first index fastest in the file.
 
+    Or all volumes of the file, ``(volumes, *shape)``, where ``volume`` is None.
+
     Args:
         start: offset [byte] of the stored data in the file.
         skip: bytes before the voxels in that data, once it is inflated.
-        volumes, volume: their number in the file, and the index of the one to read.
+        volumes, volume: their number in the file, and the index of the one to read, or None.
         interleaved: the volumes' values follow each other at each voxel.
 
     Raises:
         MeshError: too large, damaged, or fewer bytes than promised.
     """
     check_size(shape)
+    if volume is None:
+        _check_all(shape, volumes)
     if not packed:
         start, skip = start + skip, 0
     each = math.prod(shape) * dtype.itemsize
@@ -126,7 +130,9 @@ def voxels(
         )
     if min(start, skip) < 0 or start > file.stat().st_size:
         raise MeshError(f"its header puts its voxels at byte {start + skip:,}, which is not there")
-    first, length = (0, promised) if interleaved else (volume * each, each)
+    first, length = (0, promised)
+    if volume is not None and not interleaved:
+        first, length = volume * each, each
     first += skip
     found = np.empty(length, dtype=np.uint8)
     end = skip + promised
@@ -147,9 +153,27 @@ def voxels(
             f"{max(position - skip, 0):,} are there"
         )
     values = found.view(dtype)
+    if volume is None:
+        return _every(values, shape, volumes, interleaved)
     if interleaved:
         values = values.reshape(-1, volumes)[:, volume]
     return values.reshape(shape, order="F")
+
+
+def _every(
+    flat: NDArray[Any], shape: tuple[int, ...], volumes: int, interleaved: bool
+) -> NDArray[Any]:
+    """All volumes ``(volumes, *shape)`` of values in the order of the file."""
+    table = flat.reshape(-1, volumes).T if interleaved else flat.reshape(volumes, -1)
+    return table.reshape(volumes, *shape[::-1]).transpose(0, 3, 2, 1)
+
+
+def _check_all(shape: tuple[int, ...], volumes: int) -> None:
+    """Raise `MeshError` where all volumes together have more voxels than one may have."""
+    if (count := math.prod(shape) * volumes) > MOST_VOXELS:
+        raise MeshError(
+            f"its {volumes} volumes are {count:,} voxels, more than the {MOST_VOXELS:,} allowed"
+        )
 
 
 def text_voxels(
@@ -159,7 +183,7 @@ def text_voxels(
     shape: tuple[int, ...],
     *,
     volumes: int,
-    volume: int,
+    volume: int | None,
     interleaved: bool,
 ) -> NDArray[Any]:
     """`voxels` of numbers written as text.
@@ -168,6 +192,8 @@ def text_voxels(
         MeshError: too large, not numbers, or fewer than promised.
     """
     check_size(shape)
+    if volume is None:
+        _check_all(shape, volumes)
     wanted = math.prod(shape) * volumes
     with open(file, "rb") as stream:
         stream.seek(start)
@@ -180,8 +206,8 @@ def text_voxels(
         flat = np.array(words[:wanted], dtype=np.float64).astype(dtype)
     except ValueError as error:
         raise MeshError(f"its voxels are not numbers ({error})") from None
-    table = flat.reshape(-1, volumes).T if interleaved else flat.reshape(volumes, -1)
-    return table[volume].reshape(shape, order="F")
+    every = _every(flat, shape, volumes, interleaved)
+    return every if volume is None else every[volume]
 
 
 def required(fields: dict[str, str], name: str) -> str:

@@ -71,7 +71,7 @@ def surface(
     # Padded by one voxel of outside: indices are one more than the volume's.
     shape = (values.shape[0] + 2, values.shape[1] + 2, values.shape[2] + 2)
     for start, above in _slabs(values, np.float64(level), outside, within):
-        found = _triangles(above, start, shape)
+        found = grid_triangles(above, start, shape)
         count += len(found)
         if count > MOST_TRIANGLES:
             raise MeshError(
@@ -135,8 +135,13 @@ def _slabs(
         yield start, above
 
 
-def _triangles(above: FloatArray, start: int, shape: tuple[int, int, int]) -> IntArray:
-    """Triangles (n, 3) of a slab, as grid edges: 3 × the index of the lower voxel + the axis."""
+def grid_triangles(above: FloatArray, start: int, shape: tuple[int, int, int]) -> IntArray:
+    """Triangles ``(n, 3)`` of a slab, as grid edges: 3 × the index of the lower voxel + the axis.
+
+    Args:
+        above: ``(planes, j, k)``, positive inside; of the padded grid.
+        start: index of its first plane in the grid of size ``shape``.
+    """
     inside = above > 0.0
     n, rows, columns = (size - 1 for size in above.shape)
     signs = np.zeros((n, rows, columns), dtype=np.uint8)

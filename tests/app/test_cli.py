@@ -150,7 +150,7 @@ def test_the_page_comes_up_says_where_and_closes_on_interrupt(number: signal.Sig
 HELPS = [
     ["--help"],
     *([name, "--help"] for name in ("mesh", "bench", "experiment", "study", "verify", "replay")),
-    *(["mesh", name, "--help"] for name in ("list", "check", "repair", "from-volume")),
+    *(["mesh", name, "--help"] for name in ("list", "check", "repair", "from-volume", "labels")),
     *(["experiment", name, "--help"] for name in ("tracing", "power", "calibrate", "replay")),
     *(["bench", name, "--help"] for name in ("runtime", "peers", "loop", "view", "soak")),
 ]
@@ -177,7 +177,7 @@ def test_the_version_is_that_of_the_library() -> None:
 
 
 WRONG = [
-    (["mesh", "frob"], "choose one of list, check, repair, from-volume"),
+    (["mesh", "frob"], "choose one of list, check, repair, from-volume, labels"),
     (["mesh", "check", "no/such.stl"], "no/such.stl"),
     (["mesh", "check", "cube", "--unit", "parsec"], "unknown unit 'parsec': choose one of m, cm"),
     (["mesh", "repair", "cube", "/proc/nowhere/x.ply"], "/proc/nowhere"),

@@ -26,6 +26,7 @@ SHAPES = (
     "saddle-slab",
     "gyroid",
 )
+ORGANS = ("heart", "liver", "vessel")  # they deform: tests/meshes/test_deforming.py
 SKULLS = ("skull-closed", "skull", "skull-coarse", "skull-fused", "skull-precut")
 
 
@@ -61,7 +62,7 @@ VOLUMES = {
 
 def test_names_are_the_full_set() -> None:
     assert meshes.names()[0] == "skull-closed"
-    assert set(meshes.names()) == {*SHAPES, *SKULLS, "skull-fine"}
+    assert set(meshes.names()) == {*SHAPES, *ORGANS, *SKULLS, "skull-fine"}
     assert tuple(meshes.catalogue())[: len(meshes.names())] == meshes.names()
     for name, entry in meshes.catalogue().items():
         assert entry.name == name
@@ -70,7 +71,7 @@ def test_names_are_the_full_set() -> None:
         assert entry.about.endswith(".")
 
 
-@pytest.mark.parametrize("name", SHAPES + SKULLS)
+@pytest.mark.parametrize("name", SHAPES + ORGANS + SKULLS)
 def test_is_a_closed_outward_solid_of_one_body(name: str) -> None:
     mesh = solid(name)
     assert mesh.is_watertight
@@ -145,7 +146,7 @@ def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     ("name", "genus"),
     [
         *((name, 0) for name in ("cube", "sphere", "cylinder", "cone", "l-block", "stairs")),
-        *((name, 0) for name in ("star-prism", "thin-plate", "saddle-slab")),
+        *((name, 0) for name in ("star-prism", "thin-plate", "saddle-slab", *ORGANS)),
         ("torus", 1),
         ("gear", 1),  # its bore
         ("canal-block", 1),

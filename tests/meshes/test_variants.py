@@ -278,7 +278,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "vtk: an image": ("m.vtk", HEAD + b"STRUCTURED_POINTS\n", "STRUCTURED_POINTS, not POLYDATA"),
     "vtp: a grid": ("m.vtp", b'<VTKFile type="UnstructuredGrid"/>', "UnstructuredGrid, not Poly"),
     "vtp: another packer": (
-        "m.vtp", vtp().replace(b'version="0.1"', b'compressor="vtkLZ4DataCompressor"'), "LZ4",
+        "m.vtp", vtp().replace(b'version="0.1"', b'compressor="vtkSnappyDataCompressor"'), "Snappy",
     ),
     "gii: points only": (
         "m.gii", b'<GIFTI><DataArray Intent="NIFTI_INTENT_POINTSET"/></GIFTI>', "1 sets of points",

@@ -86,7 +86,7 @@ def test_repair_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["fly"], "unknown command 'fly': choose one of list, check, repair, from-volume"),
+        (["fly"], "unknown command 'fly': choose one of list, check, repair, from-volume, labels"),
         (["check", "torsu"], "did you mean 'torus'"),
         (["check", "torus", "--examine", "-1"], "examine -1 is outside 0 to"),
         (["check", "missing.stl"], "no such file"),

@@ -1,0 +1,1 @@
+"""Anatomy as named structures: from label maps, files, folders and built-in sets."""
