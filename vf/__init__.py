@@ -1,8 +1,9 @@
 """Anatomical mesh-based virtual fixtures: the mathematics, headless, in SI units."""
 
 from vf.adjacency import Edge
-from vf.controller import GUARDS, Controller, Settings
+from vf.controller import Controller
 from vf.fixtures import RULES, Fixture, MeshFixture
+from vf.motion import Motion
 from vf.planes import Planes, Rule
 from vf.qp.least_squares import ConstrainedLeastSquares, Solution
 from vf.qp.solver import SOLVERS, Solver
@@ -11,6 +12,7 @@ from vf.rules.certified import certified_planes
 from vf.rules.corridor import CorridorFixture, cutting_direction
 from vf.rules.paper import every_plane, paper_planes
 from vf.selftest import check_kernels
+from vf.settings import GUARDS, Settings
 from vf.status import Status
 from vf.surface import Contacts, Surface
 from vf.tick.haptics import force
@@ -34,6 +36,7 @@ __all__ = [
     "Feature",
     "Fixture",
     "MeshFixture",
+    "Motion",
     "Planes",
     "Rule",
     "Settings",

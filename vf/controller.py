@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from math import inf, nan
 from time import monotonic
@@ -15,12 +14,14 @@ from numpy.typing import ArrayLike
 
 from vf import layout as at
 from vf.fixtures import RULES, Fixture, MeshFixture
+from vf.motion import Motion, placed, seen_from
 from vf.planes import FloatArray, Planes, write_records
 from vf.qp import problem
 from vf.qp.active_set import left_over
-from vf.qp.solver import Solver, backend, check_solver
+from vf.qp.solver import Solver, backend
 from vf.rules.corridor import CorridorFixture
 from vf.selftest import check_kernels
+from vf.settings import Settings
 from vf.status import Status
 from vf.surface import Surface
 from vf.tick.block import Block
@@ -36,75 +37,6 @@ LOOK_AHEAD = 2.0
 # A solver is prepared for this many rows: few ticks have more after those that cannot bind are left
 # out.
 CAPACITY = 128
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What does not change from tick to tick.
-
-    Attributes:
-        dt: period of the control loop [s].
-        standoff: distance kept between tool and surface [m].
-        tip_radius: of the spherical cutter [m].
-        rotation_length: weighs rotation against translation [m/rad].
-        damping: λ, weighs joint motion [m²].
-        force_gain: haptic stiffness K [N/m].
-        force_cap: largest haptic force [N].
-        tip_speed: a tick moves the tip by tip_speed × dt at most [m/s]; inf: only the joints' own
-            speed limits count.
-        solver: one of `vf.SOLVERS`, for what the exact shortcuts do not settle.
-        guard: "tip", or "tool": every capsule of the arm's instrument (`arm.capsules`) too, against
-            the meshes whose rule is "certified". Other rules and corridors hold the tip only.
-        trocar: with guard "tool", the mesh is exempt for the shaft in a ball of this radius around
-            the remote centre, where it enters [m]; 0: nowhere. A radius up to the shaft's is none.
-
-    Raises:
-        ValueError: a value that is no number or out of its range, or an unknown solver or guard.
-    """
-
-    dt: float = 1e-3
-    standoff: float = 20e-6
-    tip_radius: float = 0.0
-    rotation_length: float = 0.05
-    damping: float = 1e-7
-    force_gain: float = 150.0
-    force_cap: float = 4.0
-    tip_speed: float = inf
-    solver: str = "osqp"
-    guard: str = "tip"
-    trocar: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_solver(self.solver)
-        if self.guard not in GUARDS:
-            raise ValueError(f"unknown guard {self.guard!r}: choose one of {', '.join(GUARDS)}")
-        for name, (low, high, unit) in RANGES.items():
-            value = getattr(self, name)
-            try:
-                # A float whatever kind of number came: kernels are compiled anew for any other.
-                number = float(value)
-            except (TypeError, ValueError):
-                number = nan
-            if not low <= number <= high:
-                raise ValueError(
-                    f"{name} must be a number from {low:g} to {high:g}{unit}, got {value!r}"
-                )
-            object.__setattr__(self, name, number)
-
-
-GUARDS = ("tip", "tool")
-# Lowest and highest value and the unit of each of the `Settings` that is a number.
-RANGES = {
-    "dt": (1e-6, 10.0, " s"),
-    "standoff": (1e-9, 1.0, " m"),
-    "tip_radius": (0.0, 1.0, " m"),
-    "rotation_length": (1e-6, 1e3, " m/rad"),
-    "damping": (1e-15, 1e3, " m²"),
-    "force_gain": (0.0, 1e6, " N/m"),
-    "force_cap": (0.0, 1e6, " N"),
-    "tip_speed": (1e-9, inf, " m/s"),
-    "trocar": (0.0, 1.0, " m"),
-}
 
 
 class Kinematics(Protocol):
@@ -152,13 +84,14 @@ class Controller:
         chain = getattr(arm, "chain", None)
         searches = [getattr(fixture, "search", None) for fixture in self.fixtures]
         parts = tip_alone(s.tip_radius)
-        if s.guard == "tool":
-            meshes = any(search is not None and search.kind == at.MESH for search in searches)
+        whole = [_guards_tool(fixture, s.guard) for fixture in self.fixtures]
+        if any(whole):
             middle = 0.5 * (np.asarray(arm.lower) + np.asarray(arm.upper))
-            parts = instrument(arm, s.tip_radius, s.trocar, middle, meshes)
+            parts = instrument(arm, s.tip_radius, s.trocar, middle, True)
         block = self._block = Block(n, chain, searches, parts)
         for f, fixture in enumerate(self.fixtures):
             block.searches[f, at.KEEPS] = fixture.certified
+            block.searches[f, at.TOOL] = whole[f]
         table, numbers = block.table, block.numbers
         reach = np.asarray(arm.velocity) * s.dt
         table[at.LOWEST], table[at.HIGHEST] = arm.lower, arm.upper
@@ -190,6 +123,8 @@ class Controller:
         self._idle.flags.writeable = False
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
+        self._still = (None,) * len(self.fixtures)
+        self._moved: list[bool] = []  # which fixtures moved in the last tick; empty: none
         self._tick = _COMPILED.tick
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
@@ -238,13 +173,21 @@ class Controller:
         self.step(q, T)
         self._sent = sent
 
-    def step(self, q: ArrayLike, target: pin.SE3) -> Step:
+    def step(
+        self, q: ArrayLike, target: pin.SE3, motions: Sequence[Motion | None] | None = None
+    ) -> Step:
         """One tick from joint positions q (n,) towards the tip pose `target`, base frame.
 
-        Raises nothing: where q or the target is not usable, the status is REFUSED. The step's `q`
-        is then q itself if only the target is not usable, else the `q` of the last tick. Before the
-        first tick with usable joints it is the q given (nan if that is not an array of numbers),
-        and the tip is the identity.
+        With `motions`, one for each fixture (None: it stands still), structures move during the
+        tick. A structure that comes to the tool moves it, also where the target is the tip's own
+        pose: a tool that is to hold yields, and no more than it has to. Where the arm cannot yield
+        that fast the status is OVERTAKEN, the step the one that misses the planes least, and
+        `Step.violation` how deep that may be.
+
+        Raises nothing: where q, the target or the motions are not usable, the status is REFUSED.
+        The step's `q` is then q itself if only target or motions are not usable, else the `q` of
+        the last tick. Before the first tick with usable joints it is the q given (nan if that is
+        not an array of numbers), and the tip is the identity.
         """
         started = monotonic()
         # The kernel does not check types: only a float64 array of the right shape may go there.
@@ -260,6 +203,8 @@ class Controller:
             goal = target.homogeneous if isinstance(target, pin.SE3) else _NO_POSE
         except Exception:  # a subclass, or an SE3 that was never initialised
             goal = _NO_POSE
+        if (motions is not None or self._moved) and not self._set_motions(motions):
+            goal = _NO_POSE
         m = self._tick(block.address, q, goal, at.BEGIN)
         while m < 0:
             if m <= -at.NO_TARGET:
@@ -273,6 +218,30 @@ class Controller:
         self._sent = record
         return step
 
+    def _set_motions(self, motions: Sequence[Motion | None] | None) -> bool:
+        """Write how the fixtures move; False, and all stand still: that is of no use."""
+        block = self._block
+        usable = True
+        try:
+            given: tuple[Motion | None, ...] = self._still if motions is None else tuple(motions)
+        except Exception:  # an object may raise anything when iterated
+            given = ()
+        kinds = {type(motion) for motion in given}
+        if len(given) != len(self._still) or not kinds <= _MOTIONS:
+            given, usable = self._still, False
+        moves = []
+        place = 0
+        for motion in given:
+            moves.append(motion is not None)
+            if motion is not None:
+                block.poses[place : place + _POSES] = motion.packed
+            place += _MOTION
+        if moves != self._moved:
+            block.searches[:, at.MOVES] = moves
+            block.words[at.MOVING] = any(moves)
+            self._moved = moves if any(moves) else []
+        return usable
+
     def _place(self, q: FloatArray) -> None:
         """Pose and Jacobian at q, of an arm without a chain."""
         T, self._block.jacobian[:] = self.arm.kinematics(q.copy())
@@ -284,10 +253,12 @@ class Controller:
 
     def _look_for_sides(self, q: FloatArray) -> None:
         block = self._block
-        x = block.places[0].copy()
         for f, fixture in enumerate(self.fixtures):
-            block.sides[f, at.SEEN : at.SEEN + 3] = x
-            block.sides[f, at.WITHIN] = fixture.inside(x)
+            block.sides[f, at.WITHIN] = fixture.inside(self._seen(f))
+
+    def _seen(self, f: int) -> FloatArray:
+        """Where the tip is at the start of the tick, in the frame of a fixture."""
+        return self._block.sides[f, at.SEEN : at.SEEN + 3].copy()
 
     @property
     def _inside(self) -> tuple[bool, ...]:
@@ -297,18 +268,24 @@ class Controller:
     def _ask_fixtures(self, q: FloatArray) -> None:
         """The planes of all fixtures, from their Python methods."""
         s, block = self.settings, self._block
-        x = block.places[0].copy()
         radius = float(block.numbers[at.SEARCHED])
-        parts = [
-            fixture.planes(x, radius, s.standoff, s.tip_radius, within)
-            for fixture, within in zip(self.fixtures, self._inside, strict=True)
-        ]
+        parts = []
+        for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True)):
+            moves = bool(self._moved) and self._moved[f]
+            more = float(block.motions[f, at.MORE]) if moves else 0.0
+            part = fixture.planes(self._seen(f), radius + more, s.standoff, s.tip_radius, within)
+            if moves:
+                part = placed(part, block.motions[f, at.TO : at.SPIN], more)
+            parts.append(part)
         count = sum(map(len, parts))
         if count > block.room:
             block.reserve(2 * count)
         first = 0
         for f, part in enumerate(parts):
             write_records(part, f, block.planes[first:])
+            margins = getattr(self.fixtures[f], "margins_at", None)
+            margin = 0.0 if margins is None else margins(part.triangles)
+            block.planes[first : first + len(part), at.KEEP] = s.standoff + margin
             first += len(part)
         block.words[at.COUNT] = count
         block.numbers[at.REACH] = min((part.radius for part in parts), default=radius)
@@ -326,10 +303,13 @@ class Controller:
     def _judge(self, q: FloatArray) -> None:
         """Whether a step that starts inside of a fixture leads out, which planes do not decide."""
         block = self._block
-        x, y = block.places[0].copy(), block.trials[0].copy()
+        ends = [block.trials[0].copy() for _ in self.fixtures]
+        for f, moves in enumerate(self._moved):
+            if moves:
+                ends[f] = seen_from(block.motions[f, at.TO : at.SPIN], ends[f])
         block.words[at.ANSWER] = all(
-            fixture.leads_out(x, y)
-            for fixture, within in zip(self.fixtures, self._inside, strict=True)
+            fixture.leads_out(self._seen(f), ends[f])
+            for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True))
             if within
         )
 
@@ -365,6 +345,13 @@ _ANSWERS: dict[int, Callable[[Controller, FloatArray], None]] = {
 }
 
 
+def _guards_tool(fixture: Fixture, guard: str) -> bool:
+    """Whether a fixture guards bodies beside the tip, where settings say `guard` of all."""
+    search = getattr(fixture, "search", None)
+    own = getattr(fixture, "guard", None) or guard
+    return search is not None and search.kind == at.MESH and own == "tool"
+
+
 def _check_limits(arm: Kinematics) -> None:
     """ValueError unless all limits are finite, with lower ≤ upper and speeds above zero."""
     lower, upper, speed = (np.asarray(v, float) for v in (arm.lower, arm.upper, arm.velocity))
@@ -396,4 +383,6 @@ _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
 _NO_POSE = np.full((4, 4), nan)
 _RECORD = 8 * at.PLANE  # bytes
+_MOTION, _POSES = 8 * at.MOTION, 8 * at.SPIN  # bytes
+_MOTIONS = {Motion, type(None)}
 _new_step = object.__new__

@@ -21,6 +21,9 @@ PUSH = 13  # how far the plane pushed the tip back [m]
 LIMIT = 14  # while planes are chosen: a mesh point z is behind when n·z is below this [m], …
 BUMP = 15  # … of which this is for bumps [m]
 PLANE = 16
+# Once the planes of a fixture are chosen, in the places of LIMIT and BUMP:
+CARRY = LIMIT  # how far its structure takes the plane along past its point in the tick [m]
+KEEP = BUMP  # distance to keep from what is behind the plane: standoff and margin [m]
 
 # The words of a block: counts …
 JOINTS = 0  # n
@@ -39,38 +42,41 @@ INSIDE = 11  # 1: the tip is inside of something
 ANSWER = 12  # Python's answer to a question: a `vf.Solver`, or 1 for yes
 BODIES = 13  # how many bodies are guarded beside the tip
 STUCK = 14  # 1: the axis of a body meets the mesh
+MOVING = 15  # 1: a structure moves in this tick
+YIELDS = 16  # 1: no step was found that obeys what moves, so this is the one that misses it least
 # … and the addresses of its parts.
-CHAIN = 16  # (LINKS, chain.LINK)
-AXES = 17  # (LINKS, 6) of the joints
-NUMBERS = 18  # (SCALARS,) see below
-TABLE = 19  # (JOINT_ROWS, n) see below
-JACOBIAN = 20  # (6, n) of the tip at the start
-JACOBIANS = 21  # (POINTS, 3, n) linear, of the guarded points
-PLACES = 22  # (POINTS, 3) guarded points at the start [m]
-TRIALS = 23  # (POINTS, 3) at the joint positions that are tried [m]
-ERRORS = 24  # (POINTS, 3) linearisation errors [m]
-BULGES = 25  # (POINTS,) how far paths may leave their chords [m]
-START = 26  # (3, 4) pose of the tip at the start, …
-GOAL = 27  # … of the target, …
-TIP = 28  # … at the joint positions that are tried, …
-BEST = 29  # … and at the best of them
-PLANES = 30  # (ROOM, PLANE)
-ROWS = 31  # (ROOM, n) the planes' rows G
-BOUNDS = 32  # (ROOM,) b of G Δq ≥ b [m]
-OTHER_BOUNDS = 33  # (ROOM,) of another attempt [m]
-MULTIPLIERS = 34  # (ROOM,) of the last problem [m]
-SCRATCH = 35  # of the solver, see `vf.qp.active_set.carve`
-SCRATCH_SIZE = 36  # not an address
-SOLUTION = 37  # (n,) of the solver asked: u
-DUALS = 38  # one for each row left for it
-QUEUE = 39  # (certified.HEAP, 3) of the walk
-POLYGONS = 40  # (2, certified.CORNERS, 3) of the walk
-SEARCHES = 41  # (FIXTURES, SEARCH) integers: what each fixture is and where
-SIDES = 42  # (FIXTURES, SIDE) numbers of each fixture
-REPORT = 43  # (HEAD + 2 n,) see below
-GUARDS = 44  # (POINTS, GUARD) numbers of each guarded point
-BODY_TABLE = 45  # (BODIES, BODY) integers: what is guarded beside the tip
-WORDS = 46
+CHAIN = 17  # (LINKS, chain.LINK)
+AXES = 18  # (LINKS, 6) of the joints
+NUMBERS = 19  # (SCALARS,) see below
+TABLE = 20  # (JOINT_ROWS, n) see below
+JACOBIAN = 21  # (6, n) of the tip at the start
+JACOBIANS = 22  # (POINTS, 3, n) linear, of the guarded points
+PLACES = 23  # (POINTS, 3) guarded points at the start [m]
+TRIALS = 24  # (POINTS, 3) at the joint positions that are tried [m]
+ERRORS = 25  # (POINTS, 3) linearisation errors [m]
+BULGES = 26  # (POINTS,) how far paths may leave their chords [m]
+START = 27  # (3, 4) pose of the tip at the start, …
+GOAL = 28  # … of the target, …
+TIP = 29  # … at the joint positions that are tried, …
+BEST = 30  # … and at the best of them
+PLANES = 31  # (ROOM, PLANE)
+ROWS = 32  # (ROOM, n) the planes' rows G
+BOUNDS = 33  # (ROOM,) b of G Δq ≥ b [m]
+OTHER_BOUNDS = 34  # (ROOM,) of another attempt [m]
+MULTIPLIERS = 35  # (ROOM,) of the last problem [m]
+SCRATCH = 36  # of the solver, see `vf.qp.active_set.carve`
+SCRATCH_SIZE = 37  # not an address
+SOLUTION = 38  # (n,) of the solver asked: u
+DUALS = 39  # one for each row left for it
+QUEUE = 40  # (certified.HEAP, 3) of the walk
+POLYGONS = 41  # (2, certified.CORNERS, 3) of the walk
+SEARCHES = 42  # (FIXTURES, SEARCH) integers: what each fixture is and where
+SIDES = 43  # (FIXTURES, SIDE) numbers of each fixture
+REPORT = 44  # (HEAD + 2 n,) see below
+GUARDS = 45  # (POINTS, GUARD) numbers of each guarded point
+BODY_TABLE = 46  # (BODIES, BODY) integers: what is guarded beside the tip
+MOTIONS = 47  # (FIXTURES, MOTION) how each fixture moves
+WORDS = 48
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -99,8 +105,11 @@ LOW = 21  # bisection
 HIGH = 22
 BEST_SHARE = 23
 DESIRED = 24  # six numbers: the desired step [m]
-MARKS = 30  # four times [s], each at the end of: kinematics, planes, QP, verification
-SCALARS = 34
+GIVEN_UP = 30  # what all rows are relaxed by, where they cannot be met [m]
+LEAST = 31  # the smallest shortfall of the steps tried [m]
+VIOLATION = 32  # see `Step.violation` [m]
+MARKS = 33  # four times [s], each at the end of: kinematics, planes, QP, verification
+SCALARS = 37
 
 # Rows of TABLE, each (n,) …
 TASK = 0  # six rows
@@ -124,12 +133,26 @@ ORDER, SLIVERS, EDGES = 5, 6, 7  # addresses of (m,), (m,), (m, 3)
 WALLS, WALL_COUNT = 8, 9  # of a corridor: address of (w, corridor.WALL)
 FRAME = 10  # of a corridor: address of its axes (2, 3), its width and its hair
 KEEPS = 11  # 1: a checked step stays on its side
-SEARCH = 12
+NODE_MARGINS, OWN_MARGINS = 12, 13  # addresses of (k,), (m,), see `margins.Margins`
+VARIED = 14  # m, or 0: the margin is the same for the whole surface
+TOOL = 15  # 1: it guards the bodies of the instrument beside the tip
+MOVES = 16  # 1: it moves in this tick
+SEARCH = 17
 
 # Numbers of a fixture.
 SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none
 WITHIN = 3  # 1: inside there, 0: outside
-SIDE = 4
+MARGIN = 4  # [m], where it is the same for the whole surface
+SIDE = 5
+
+# How a fixture moves: its pose at the start and at the end of the tick, each the rows of the
+# rotation and then the translation, how far it turns [rad], and its origin goes, a bound [m].
+FROM = 0
+TO = 12
+SPIN = 24
+DRIFT = 25
+MORE = 26  # by how much the ball to search for the tip is larger in its frame [m]
+MOTION = 27
 
 # Numbers of a guarded point.
 ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`
@@ -150,8 +173,9 @@ BODY = 4
 REPORT_STATUS, REPORT_SOLVER, REPORT_RADIUS, REPORT_ALLOWED, REPORT_DISTANCE = 0, 1, 2, 3, 4
 REPORT_MARKS = 5  # four times [s]
 REPORT_FORCE = 9  # three numbers [N]
-REPORT_TIP = 12  # (3, 4)
-HEAD = 24
+REPORT_VIOLATION = 12  # [m]
+REPORT_TIP = 13  # (3, 4)
+HEAD = 25
 
 
 # Kinds of fixtures (KIND).
@@ -175,6 +199,7 @@ DONE = 9  # only within the tick: there is nothing more to try
 # Which step a tick tries (STAGE).
 WHOLE = 0  # the optimum, shortened to what fits into a tick
 RELAXED = 1  # the same without recovery, which was more than the joints can do
-SHORTER = 2  # a shorter part of it
-CORRECTED = 3  # the optimum with rows moved by the linearisation error just measured
-PART = 4  # by bisection
+YIELDING = 2  # rows relaxed by one length, the least that can be met: sought by bisection
+SHORTER = 3  # a shorter part of it
+CORRECTED = 4  # the optimum with rows moved by the linearisation error just measured
+PART = 5  # by bisection

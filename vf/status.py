@@ -14,3 +14,4 @@ class Status(IntEnum):
     RECOVERING = 3  # below the standoff: moved out again, never deeper
     INSIDE = 4  # the tool is inside the anatomy
     REFUSED = 5  # the target or the joint vector is not usable: the tool stays
+    OVERTAKEN = 6  # the anatomy came faster than the arm can yield, see `Step.violation`

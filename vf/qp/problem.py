@@ -11,8 +11,10 @@ import numpy as np
 
 from vf.kernels import njit
 from vf.layout import (
+    CARRY,
     FLOOR,
     FOOT,
+    KEEP,
     NORMAL,
     OFFSET,
     PATH_LIMIT,
@@ -32,6 +34,8 @@ JOINT_RANGE = 1e4
 TIGHTENING = 1e-6
 # Share of the deficit to the standoff that a tick recovers.
 RECOVERY = 0.5
+# Out of a margin a tick leads by no more than this [m]: 10 mm/s at 1 kHz.
+LED_OUT = 1e-5
 SWEEPS = 16
 EXIT = int(Rule.EXIT)
 
@@ -120,16 +124,11 @@ def height(plane, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def room(plane, x):  # type: ignore[no-untyped-def]
-    """Distance of x (3,) to the plane through the FOOT of a plane, before it was moved."""
-    return height(plane, x) - height(plane, plane[FOOT : FOOT + 3])
-
-
-@njit(cache=True)
-def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # type: ignore[no-untyped-def]
+def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bounds):  # type: ignore[no-untyped-def]
     """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
-    Below the standoff, b > 0 asks for a motion that recovers a share of the deficit. Between two
+    Below standoff and margin, b > 0 asks for a motion that recovers a share of the deficit, slowly
+    of what is missing to a margin. Between two
     walls less than two standoffs apart both requests cannot be met, so they are first reconciled
     for the tip: projections give a motion v, and no row asks for more than v provides. Towards the
     farther of two such walls v may go as far as that wall's plane allows. The same for every other
@@ -138,6 +137,8 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
     Args:
         planes: records, those of a point next to each other.
         guards: (p, GUARD) see `vf.layout`.
+        moves: whether planes have their CARRY, by how much they ask for motion beside all that;
+            else it is set to 0.
 
     Returns:
         Distance of the nearest foot of a plane of the tip, and the worst deficit of any point to
@@ -159,7 +160,10 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
             rows[i, j] = (
                 plane[NORMAL] * J[0, j] + plane[NORMAL + 1] * J[1, j] + plane[NORMAL + 2] * J[2, j]
             )
-        above = height(plane, x)
+        # Relative to the structure, that is where the plane would take x.
+        if not moves:
+            plane[CARRY] = 0.0
+        above = height(plane, x) + plane[CARRY]
         if plane[RULE] == EXIT:
             bounds[i] = min(plane[OFFSET] - above, 0.0)  # nothing to recover
             continue
@@ -167,12 +171,15 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
             bounds[i] = min(plane[OFFSET] - above, 0.0)
             continue
         missing = (
-            height(plane, plane[FOOT : FOOT + 3]) + standoff + guards[point, THICKNESS] - above
+            height(plane, plane[FOOT : FOOT + 3]) + plane[KEEP] + guards[point, THICKNESS] - above
         )
         deficit = max(deficit, missing)
         # A plane moved beyond the standoff is obeyed, but a tip on it has no deficit.
         missing = max(missing, min(plane[OFFSET] - above, 0.0)) + TIGHTENING
         bounds[i] = RECOVERY * missing if missing > 0.0 else missing
+        if plane[KEEP] > standoff:
+            to_standoff = RECOVERY * max(missing - (plane[KEEP] - standoff), 0.0)
+            bounds[i] = min(bounds[i], to_standoff + LED_OUT)
     nearest = np.sqrt(nearest)
     if deficit + TIGHTENING > 0.0:
         first = 0
@@ -180,6 +187,10 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, rows, bounds):  # 
             if i == m or planes[i, POINT] != planes[first, POINT]:
                 _reconcile(planes[first:i], i - first, places, bounds[first:i])
                 first = i
+    if moves:
+        for i in range(m):
+            if planes[i, POINT] == 0.0 or rows[i].any():
+                bounds[i] += planes[i, CARRY]
     return nearest, deficit
 
 
@@ -236,7 +247,7 @@ def _reconcile(planes, m, places, bounds):  # type: ignore[no-untyped-def]
             left = bounds[i]
             if left > 0.0:
                 x = places[int(planes[i, POINT])]
-                left = 0.5 * (planes[i, OFFSET] - height(planes[i], x))
+                left = 0.5 * (planes[i, OFFSET] - (height(planes[i], x) + planes[i, CARRY]))
             if gain < left:
                 share = min(share, max(left / gain, 0.0))
     for i in range(m):

@@ -37,11 +37,12 @@ def since(seen, m):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def box_behind(nodes, node, planes, less, near, mask):  # type: ignore[no-untyped-def]
+def box_behind(nodes, node, planes, less, shift, near, mask):  # type: ignore[no-untyped-def]
     """Whether a node's box is wholly behind one of the planes of a mask, rounding included.
 
     Args:
         less: share of the planes' BUMP that does not count, see `less_of_bumps`.
+        shift: largest margin below the node, where margins vary over the mesh [m]; else 0.
         near: least bound on the rounding error of n·z [m].
         mask: bit k set: plane k is tested.
 
@@ -69,7 +70,7 @@ def box_behind(nodes, node, planes, less, near, mask):  # type: ignore[no-untype
             )
         if middle >= half:
             continue
-        top = middle + less * planes[i, at.BUMP] + half
+        top = middle + less * planes[i, at.BUMP] + shift + half
         if top < 0.0 and top < -max(ROUND * (abs(cx) + abs(cy) + abs(cz) + reach), near):
             return True, 0
         left |= bit
@@ -86,7 +87,7 @@ def rounding_of(corners, t, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-untyped-def]
+def triangle_behind(corners, t, planes, less, shift, near, mask):  # type: ignore[no-untyped-def]
     """Whether a triangle is wholly behind one of the planes of a mask, as `box_behind` for a box.
 
     Returns:
@@ -102,7 +103,7 @@ def triangle_behind(corners, t, planes, less, near, mask):  # type: ignore[no-un
         h1 = nx * corners[t, 3] + ny * corners[t, 4] + nz * corners[t, 5]
         h2 = nx * corners[t, 6] + ny * corners[t, 7] + nz * corners[t, 8]
         highest = max(h0, h1, h2)
-        limit = planes[i, at.LIMIT] - less * planes[i, at.BUMP]
+        limit = planes[i, at.LIMIT] - less * planes[i, at.BUMP] - shift
         if highest < limit and highest < limit - rounding_of(corners, t, near):
             return True, 0
         if min(h0, h1, h2) < planes[i, at.LIMIT]:

@@ -36,6 +36,7 @@ from vf.kernels import bits_as_float, float_as_bits, njit
 from vf.planes import ROUND, FloatArray, Planes, checked_ends, checked_length, planes_of
 from vf.rules.behind import box_behind, less_of_bumps, rounding_of, since, triangle_behind
 from vf.rules.clip import remainder
+from vf.rules.margins import NO_MARGIN, Margins, margins_of
 from vf.rules.queue import pop, push
 from vf.rules.separate import separate
 from vf.surface import Surface
@@ -67,6 +68,9 @@ NEAR = 20.0
 # exactly straight and no solver exact. Recovery leads the tool back by it.
 YIELD = 1e-8
 YIELD_SHARE = 0.05
+# Margins are lowered where the tool is closer to them than this share of the standoff: in contact
+# it is closer than the standoff by `YIELD`.
+ENOUGH = 0.9
 # Space of fewer rounding errors than this counts as none: no plane separates x from the triangle.
 FAINT = 64.0
 # Capacity of the queue. When it is full, the walk ends and the radius shrinks to what is settled.
@@ -81,6 +85,7 @@ def certified_planes(
     radius: float,
     standoff: float = 0.0,
     tip_radius: float = 0.0,
+    margin: ArrayLike = 0.0,
 ) -> Planes:
     """Separating planes for which every step that obeys them crosses no triangle.
 
@@ -90,6 +95,9 @@ def certified_planes(
         radius: of the motion sphere: how far a step may go, each end of an axis [m].
         standoff: how far the planes are moved from the mesh towards x, at most up to x [m].
         tip_radius: of the spherical cutter around x, or of the capsule [m].
+        margin: how far the tip, or the capsule, has to stay away from the surface beside the
+            standoff [m]: one length, or (n,) one for each vertex; a triangle has the largest of its
+            corners'. Where the tool is closer, all margins are lowered by what is missing.
 
     Returns:
         Planes with n·x ≥ o, for both ends of an axis. `radius` is smaller than asked for where the
@@ -97,13 +105,15 @@ def certified_planes(
         meets one; the claim then holds for that ball.
 
     Raises:
-        ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`).
+        ValueError: x, or a length, is not finite or not in its range (up to `planes.LARGEST`), or
+            there is not a margin for each vertex.
     """
     p = checked_ends(x)
     radius = checked_length("radius", radius)
     standoff = checked_length("standoff", standoff)
     tip_radius = checked_length("tip radius", tip_radius)
-    return cover(surface, p, radius, standoff, tip_radius)
+    margins = margins_of(surface.tree, surface.vertices, surface.faces, margin)
+    return cover(surface, p, radius, standoff, tip_radius, margins)
 
 
 class Triangles(Protocol):
@@ -116,13 +126,18 @@ class Triangles(Protocol):
 
 
 def cover(
-    surface: Triangles, x: FloatArray, radius: float, standoff: float, tip_radius: float
+    surface: Triangles,
+    x: FloatArray,
+    radius: float,
+    standoff: float,
+    tip_radius: float,
+    margins: Margins = NO_MARGIN,
 ) -> Planes:
     """`certified_planes` for arguments that have been checked."""
     planes = np.empty((BUDGET, at.PLANE))
     tree = surface.tree
     m, reach = walk_alone(
-        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
+        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, *margins, False,
         tuple(x.ravel().tolist()), radius, standoff, tip_radius, EASE, planes,
     )  # fmt: skip
     return planes_of(planes[:m], reach)
@@ -130,25 +145,36 @@ def cover(
 
 @njit(cache=True, nogil=True)
 def walk(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
-    planes, first, queue, polygons,
+    nodes, corners, order, slivers, edges, margin, highest, own, lowered, walls, ends, radius,
+    standoff, thickness, ease, planes, first, queue, polygons,
 ):  # fmt: skip
-    """Planes from row `first` on: their number and the radius they hold in.
+    """Planes from row `first` on: their number, the radius they hold in, how far margins are lower.
+
+    With a margin M the tip is searched for as if its radius were larger by M. Where the tool is
+    closer to the mesh than that, M is what there is less the standoff, so that it may stay, and go
+    no deeper. Margins that vary over the mesh are all lowered by the same length, to no less than
+    0, and a triangle counts as so much farther away as its margin is less than the largest.
 
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
+        margin, highest, own: `margins.Margins` [m].
+        lowered: by how much the margins are lowered from the outset [m].
         walls: triangles (a, b, b) stand for walls through a and b along z, and the tip's z is 0.
         ends: three numbers, the centre of the tip, or six, start and end of a capsule's axis [m].
-        tip_radius: of the tip, or of the capsule [m].
+        thickness: radius of the tip, or of the capsule [m].
         ease: `EASE`, or less.
-        planes: (k, PLANE) written; at most `BUDGET` of them.
+        planes: (k, PLANE) written; at most `BUDGET` of them. PUSH is the margin, not lowered.
         queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
     """
     # Masks have a bit for each plane, so there are no more than BUDGET however long `planes` is.
     budget = min(planes.shape[0] - first, BUDGET)
     planes = planes[first:]
     polygon, spare = polygons[0], polygons[1]
+    varied = own.shape[0] > 0
+    # Of the tip with the largest margin; triangles with less count as farther away by the rest.
+    widest = max(margin - lowered, 0.0)
+    tip_radius = thickness + widest
     near = ROUND * (largest_coordinate(ends) + radius + tip_radius)
     # A computed distance to a box, or to a triangle but a sliver, is too large by at most this.
     blur = EXACT + near
@@ -166,6 +192,8 @@ def walk(  # type: ignore[no-untyped-def]
     # The tip's centre may come this close to the mesh: its radius, or the distance if that is less.
     deepest = tip_radius
     nearest = 0.0  # space between the tip and the nearest triangle
+    shift = 0.0  # where margins vary: of a triangle, or the largest of a node
+    short = 0.0  # by how much it is less than the widest
     # The nearest child of the node just opened is often the next item: it is kept out of the queue.
     next2 = box_gap2(nodes, 0, ends)
     next_item = 0
@@ -185,10 +213,12 @@ def walk(  # type: ignore[no-untyped-def]
         seen = item % SEEN
         item = item // SEEN
         less = less_of_bumps(d2, tip_radius, far)
+        if varied:
+            shift = max((highest[item] if item >= 0 else own[-1 - item]) - lowered, 0.0)
         if item >= 0:
             fresh = since(seen, m)
             if fresh != 0:
-                hidden, cut = box_behind(nodes, item, planes, less, near, fresh)
+                hidden, cut = box_behind(nodes, item, planes, less, shift, near, fresh)
                 if hidden:
                     continue
                 mask |= cut
@@ -203,22 +233,32 @@ def walk(  # type: ignore[no-untyped-def]
             for entry in range(first, last):
                 if link > 0.0:
                     e2 = box_gap2(nodes, entry, ends)
+                    if varied:
+                        shift = max(highest[entry] - lowered, 0.0)
+                        e2 = (np.sqrt(e2) + (widest - shift)) ** 2
                     if e2 > reach2:
                         continue
                     cut = 0
                     if mask != 0:
                         hidden, cut = box_behind(
-                            nodes, entry, planes, less_of_bumps(e2, tip_radius, far), near, mask
-                        )
+                            nodes, entry, planes, less_of_bumps(e2, tip_radius, far), shift, near,
+                            mask,
+                        )  # fmt: skip
                         if hidden:
                             continue
                 else:
                     cut = 0
+                    if varied:
+                        shift = max(own[entry] - lowered, 0.0)
                     if mask != 0:
-                        hidden, cut = triangle_behind(corners, entry, planes, less, near, mask)
+                        hidden, cut = triangle_behind(
+                            corners, entry, planes, less, shift, near, mask
+                        )
                         if hidden:
                             continue
                     e2 = triangle_gap2(corners, entry, slivers, ends)
+                    if varied:
+                        e2 = (np.sqrt(e2) + (widest - shift)) ** 2
                 # Rounding may put a child nearer than its parent: keys must not decrease.
                 e2 = max(e2, d2)
                 if e2 > reach2:
@@ -236,24 +276,48 @@ def walk(  # type: ignore[no-untyped-def]
         t = -1 - item
         fresh = since(seen, m)
         if fresh != 0:
-            hidden, cut = triangle_behind(corners, t, planes, less, near, fresh)
+            hidden, cut = triangle_behind(corners, t, planes, less, shift, near, fresh)
             if hidden:
                 continue
             mask |= cut
         rounding = rounding_of(corners, t, near)
-        corners_left, swapped = remainder(corners, t, planes, less, rounding, mask, polygon, spare)
+        corners_left, swapped = remainder(
+            corners, t, planes, less, shift, rounding, mask, polygon, spare
+        )
         if corners_left == 0:
             continue
         rest = spare if swapped else polygon
         foot = polygon_foot(rest, corners_left, ends)
-        if foot[6] > reach2 and not polygon_within(rest, corners_left, foot, ends, reach):
+        if varied:
+            short = widest - shift
+        within = reach - short
+        if foot[6] > within * within and not polygon_within(rest, corners_left, foot, ends, within):
             continue
+        if m == 0 and widest > 0.0:
+            apart = np.sqrt(foot[6]) - thickness
+            gap = apart - (widest - short)
+            overlaps = not apart > FAINT * rounding
+            if overlaps or (short < widest and gap < ENOUGH * standoff):
+                # Begin again with lower margins, without any where the tip overlaps the triangle.
+                lowered = margin if overlaps else lowered + (standoff - gap)
+                widest = max(margin - lowered, 0.0)
+                tip_radius = thickness + widest
+                reach = (radius + tip_radius) * (1.0 + 1e-9) + blur
+                reach2 = reach * reach
+                far = tip_radius + NEAR * standoff
+                deepest = tip_radius
+                size = 0
+                next2 = box_gap2(nodes, 0, ends)
+                next_item = 0
+                next_mask = 0
+                continue
+        wide = tip_radius - short  # of the tip with the margin of this triangle
         if m == budget:
             valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
             break
         rule, nx, ny, nz, base, px, py, pz = separate(
-            corners, order, edges, walls, t, rest, corners_left, foot, rounding, tip_radius, ends,
-            planes, m,
+            corners, order, edges, walls, t, rest, corners_left, foot, rounding, wide, shift,
+            ends, planes, m,
         )  # fmt: skip
         room = lowest(nx, ny, nz, ends)
         clear = room - base
@@ -263,9 +327,9 @@ def walk(  # type: ignore[no-untyped-def]
             valid = 0.0
             break
         low = base + 4.0 * rounding
-        space = clear - tip_radius
+        space = clear - wide
         if m == 0:
-            deepest = min(tip_radius, clear)
+            deepest = min(tip_radius, clear + short)
             nearest = space
         if space > faint:
             kept = max(standoff, faint)
@@ -274,10 +338,10 @@ def walk(  # type: ignore[no-untyped-def]
                 # the farther wall as it is to the nearer one, so that it can stay in the middle.
                 kept = min(space, max(nearest, faint))
             eased = ease * m * (space - kept)
-            offset = min(base + tip_radius + kept + eased, room - min(YIELD, YIELD_SHARE * space))
+            offset = min(base + wide + kept + eased, room - min(YIELD, YIELD_SHARE * space))
             limit = max(base + BUMPY * kept + eased, low)
             bump = min(BUMPY * kept, limit - low)
-            floor = limit + tip_radius
+            floor = limit + wide
         else:
             # The tip overlaps the triangle: the planes then guarantee that its centre comes no
             # closer to any triangle than it is to the nearest one now.
@@ -293,19 +357,23 @@ def walk(  # type: ignore[no-untyped-def]
         plane[at.FOOT], plane[at.FOOT + 1], plane[at.FOOT + 2] = px, py, pz
         plane[at.TRIANGLE] = order[t]
         plane[at.RULE] = rule
-        plane[at.FIXTURE] = plane[at.CAPSULE] = plane[at.POINT] = plane[at.PUSH] = 0.0
-        plane[at.LIMIT] = limit
+        plane[at.FIXTURE] = plane[at.CAPSULE] = plane[at.POINT] = 0.0
+        plane[at.PUSH] = own[t] if varied else margin
+        # Compared with what is behind it after the margin of that has been taken off.
+        plane[at.LIMIT] = limit + shift
         plane[at.BUMP] = bump
         m += 1
-    return m, valid
+    return m, valid, lowered
 
 
 @njit(cache=True, nogil=True)
 def walk_alone(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease, planes
+    nodes, corners, order, slivers, edges, margin, highest, own, walls, ends, radius, standoff,
+    thickness, ease, planes,
 ):  # fmt: skip
-    """`walk` with its own working memory, for a single call from Python."""
-    return walk(
-        nodes, corners, order, slivers, edges, walls, ends, radius, standoff, tip_radius, ease,
-        planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
+    """`walk` with its own working memory, for a single call from Python: planes and radius."""
+    m, valid, _lowered = walk(
+        nodes, corners, order, slivers, edges, margin, highest, own, 0.0, walls, ends, radius,
+        standoff, thickness, ease, planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
     )  # fmt: skip
+    return m, valid

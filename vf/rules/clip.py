@@ -31,7 +31,7 @@ def _clip(polygon, spare, count, nx, ny, nz, limit):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def remainder(corners, t, planes, less, rounding, mask, polygon, spare):  # type: ignore[no-untyped-def]
+def remainder(corners, t, planes, less, shift, rounding, mask, polygon, spare):  # type: ignore[no-untyped-def]
     """Clip from triangle t what is behind the planes of a mask.
 
     Returns:
@@ -46,7 +46,7 @@ def remainder(corners, t, planes, less, rounding, mask, polygon, spare):  # type
         i = lowest_bit(mask)
         mask &= mask - 1
         nx, ny, nz = planes[i, at.NORMAL], planes[i, at.NORMAL + 1], planes[i, at.NORMAL + 2]
-        limit = planes[i, at.LIMIT] - less * planes[i, at.BUMP] - rounding
+        limit = planes[i, at.LIMIT] - less * planes[i, at.BUMP] - shift - rounding
         if swapped:
             count = _clip(spare, polygon, count, nx, ny, nz, limit)
         else:

@@ -217,9 +217,10 @@ def between(  # type: ignore[no-untyped-def]
         m = 1
         valid = min(radius, max(-room, 0.0) + width)
     else:
-        m, valid = walk(
-            nodes, corners, order, slivers, edges, True, (x, y, 0.0), radius, standoff, tip_radius,
-            0.0, planes, first, queue, polygons,
+        none = slivers[:0]  # margins: there are none
+        m, valid, _lowered = walk(
+            nodes, corners, order, slivers, edges, 0.0, none, none, 0.0, True, (x, y, 0.0), radius,
+            standoff, tip_radius, 0.0, planes, first, queue, polygons,
         )  # fmt: skip
     for i in range(first, first + m):
         plane = planes[i]

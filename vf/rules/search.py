@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vf.planes import FloatArray
+from vf.rules.margins import NO_MARGIN, Margins
 from vf.tree.pdtree import Tree
 
 
@@ -19,6 +20,7 @@ class Search(NamedTuple):
         tree, edges: of the triangles, arguments of `certified.walk`.
         walls: (k, corridor.WALL) of a corridor, else empty.
         frame: (8,) of a corridor: its axes, width and hair; else empty.
+        margins: of the triangles.
     """
 
     kind: int
@@ -26,3 +28,4 @@ class Search(NamedTuple):
     edges: NDArray[np.int8]
     walls: FloatArray = np.empty((0, 7))
     frame: FloatArray = np.empty(0)
+    margins: Margins = NO_MARGIN

@@ -18,7 +18,7 @@ ACROSS_VALLEY, ACROSS_FLAT = int(Edge.VALLEY), int(Edge.FLAT)
 
 @njit(cache=True, nogil=True)
 def separate(  # type: ignore[no-untyped-def]
-    corners, order, edges, walls, t, rest, count, foot, rounding, tip_radius, ends, planes, m
+    corners, order, edges, walls, t, rest, count, foot, rounding, tip_radius, shift, ends, planes, m
 ):  # fmt: skip
     """A plane that has the polygon `rest`, which is left of triangle t, behind it.
 
@@ -28,6 +28,8 @@ def separate(  # type: ignore[no-untyped-def]
         ends: of the axis, or the tip, see `certified.walk`.
         walls: see `certified.walk`.
         rounding: bound on the rounding error of n·z [m].
+        tip_radius: with the margin of the triangle [m].
+        shift: of that what the LIMIT of planes does not have, see `certified.walk` [m].
         planes, m: those chosen so far.
 
     Returns:
@@ -74,7 +76,7 @@ def separate(  # type: ignore[no-untyped-def]
                 # to the other one, and the tool would alternate between the two planes without end.
                 for k in range(m):
                     height = planes[k, at.NORMAL] * qx + planes[k, at.NORMAL + 1] * qy
-                    if height + planes[k, at.NORMAL + 2] * qz < planes[k, at.LIMIT]:
+                    if height + planes[k, at.NORMAL + 2] * qz < planes[k, at.LIMIT] - shift:
                         valley = True
                         break
             # Judged from the tip's surface: a face plane less than its radius below the centre

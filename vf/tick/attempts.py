@@ -101,7 +101,7 @@ def next_attempt(  # type: ignore[no-untyped-def]
         TRIED: there are joints to try; SOLVED: there is a problem to solve; DONE.
     """
     stage = words[at.STAGE]
-    if stage <= at.RELAXED:
+    if stage <= at.YIELDING:
         _miss(words, table, places, trials, jacobians)
         words[at.TRIES] = 0
         if _too_far(numbers, table, places, trials, jacobians, guards, bulges):
@@ -174,7 +174,8 @@ def _correct(words, numbers, table, planes, scratch, multipliers):  # type: igno
     errors = numba.carray(floats_at(words[at.ERRORS]), (words[at.POINTS], 3))
     for i in range(words[at.COUNT]):
         plane = planes[i]
-        other[i] = (bounds[i] - height(plane, errors[int(plane[at.POINT])])) / numbers[at.PACED]
+        missed = height(plane, errors[int(plane[at.POINT])])
+        other[i] = (bounds[i] - numbers[at.GIVEN_UP] - missed) / numbers[at.PACED]
     words[at.STAGE] = at.CORRECTED
     ask(words, numbers, table, other, scratch, multipliers)
     return at.SOLVED

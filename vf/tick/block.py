@@ -24,6 +24,7 @@ class Block:
             their words.
         report: bytes of REPORT and of the planes behind it.
         head: bytes of REPORT.
+        poses: bytes of MOTIONS.
     """
 
     def __init__(
@@ -73,6 +74,8 @@ class Block:
         self._part(at.POLYGONS, 2, CORNERS, 3)
         self.sides = self._part(at.SIDES, len(searches), at.SIDE)
         self.sides[:] = np.nan
+        self.motions = self._part(at.MOTIONS, len(searches), at.MOTION)
+        self.poses = self.motions.reshape(-1).data.cast("B")
         self._searches(searches)
         self._point(at.GUARDS, guarded.guards)
         self._point(at.BODY_TABLE, guarded.bodies)
@@ -112,7 +115,7 @@ class Block:
 
     def _searches(self, searches: Sequence[Search | None]) -> None:
         table: IntArray = np.zeros((len(searches), at.SEARCH), dtype=np.int64)
-        for row, search in zip(table, searches, strict=True):
+        for row, side, search in zip(table, self.sides, searches, strict=True):
             if search is None:
                 row[at.KIND] = at.GIVEN
                 continue
@@ -121,11 +124,14 @@ class Block:
             row[at.NODE_COUNT] = len(tree.nodes)
             row[at.TRIANGLES] = len(tree.corners)
             row[at.WALL_COUNT] = len(search.walls)
+            row[at.VARIED] = len(search.margins.own)
+            side[at.MARGIN] = search.margins.margin
             for word, array in (
                 (at.NODES, tree.nodes), (at.CORNERS, tree.corners),
                 (at.ORDER, tree.order), (at.SLIVERS, tree.errors),
                 (at.EDGES, search.edges), (at.WALLS, search.walls),
-                (at.FRAME, search.frame),
+                (at.FRAME, search.frame), (at.NODE_MARGINS, search.margins.highest),
+                (at.OWN_MARGINS, search.margins.own),
             ):  # fmt: skip
                 if not array.flags.c_contiguous:
                     raise ValueError("the arrays of a fixture's search must be contiguous")

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import numba
+import numpy as np
 
 from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit, now
 from vf.qp.solver import Solver
 from vf.status import Status
 from vf.tick.haptics import master_force
+from vf.tick.moving import into
 
 # A deficit below this share of the standoff is rounding and not reported as RECOVERING.
 NEGLIGIBLE = 0.1
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 IS_SOLVED, IS_SHORTENED, IS_HELD = int(Status.SOLVED), int(Status.SHORTENED), int(Status.HELD)
 IS_RECOVERING, IS_INSIDE = int(Status.RECOVERING), int(Status.INSIDE)
+IS_OVERTAKEN = int(Status.OVERTAKEN)
 
 
 @njit(cache=True)
@@ -24,6 +27,9 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
     report = numba.carray(floats_at(words[at.REPORT]), (at.HEAD + 2 * n,))
     if words[at.INSIDE] > 0:
         status = IS_INSIDE
+    elif words[at.YIELDS] > 0:
+        # Nothing is met as long as the floors are kept: the tool is then only below the standoff.
+        status = IS_OVERTAKEN if numbers[at.VIOLATION] > 0.0 else IS_RECOVERING
     elif numbers[at.SHARE] == 0.0 or words[at.FOUND_BY] == INFEASIBLE:
         status = IS_HELD
     elif numbers[at.DEFICIT] > NEGLIGIBLE * numbers[at.STANDOFF]:
@@ -37,6 +43,7 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
     report[at.REPORT_RADIUS] = numbers[at.RADIUS]
     report[at.REPORT_ALLOWED] = numbers[at.ALLOWED]
     report[at.REPORT_DISTANCE] = numbers[at.DISTANCE]
+    report[at.REPORT_VIOLATION] = numbers[at.VIOLATION] if status == IS_OVERTAKEN else 0.0
     master_force(
         tip[:, 3], goal[:3, 3], numbers[at.GAIN], numbers[at.CAP], report[at.REPORT_FORCE :]
     )
@@ -54,10 +61,15 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
     # A checked step does not change sides: at its end the side is known without a look-up.
     searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
     sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (words[at.FIXTURES], at.MOTION))
     for f in range(words[at.FIXTURES]):
         if searches[f, at.KEEPS] > 0 and sides[f, at.WITHIN] == 0.0:
-            for k in range(3):
-                sides[f, at.SEEN + k] = x[k]
+            px, py, pz = x[0], x[1], x[2]
+            if words[at.MOVING] > 0 and searches[f, at.MOVES] > 0:
+                px, py, pz = into(motions[f], at.TO, px, py, pz)
+            if words[at.YIELDS] > 0 and numbers[at.VIOLATION] > 0.0:
+                px = np.nan
+            sides[f, at.SEEN], sides[f, at.SEEN + 1], sides[f, at.SEEN + 2] = px, py, pz
     count = words[at.COUNT]
     if words[at.BODIES] > 0:
         count = _without_twins(words, planes)

@@ -7,26 +7,47 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import bytes_at, floats_at, integers_at, njit
-from vf.qp.problem import farthest, room, sagitta
+from vf.qp.problem import farthest, height, sagitta
 from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
+from vf.tick.moving import bend, into, more_reach, put
+from vf.tree.axis import lowest
 
 
 @njit(cache=True)
 def sides_known(words, x):  # type: ignore[no-untyped-def]
-    """Whether it is known for every fixture if x (3,) is inside: the last look-up was there."""
-    sides = numba.carray(floats_at(words[at.SIDES]), (words[at.FIXTURES], at.SIDE))
-    for f in range(words[at.FIXTURES]):
-        for k in range(3):
-            if sides[f, at.SEEN + k] != x[k]:
-                return False
-    return True
+    """Whether it is known for every fixture if x (3,) is inside: the last look-up was there.
+
+    If not, SEEN is where it has to be looked up, in the frame of the fixture.
+    """
+    fixtures = words[at.FIXTURES]
+    sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
+    known = True
+    if words[at.MOVING] == 0:
+        for f in range(fixtures):
+            for k in range(3):
+                known &= sides[f, at.SEEN + k] == x[k]
+        if not known:
+            for f in range(fixtures):
+                for k in range(3):
+                    sides[f, at.SEEN + k] = x[k]
+        return known
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    for f in range(fixtures):
+        px, py, pz = x[0], x[1], x[2]
+        if searches[f, at.MOVES] > 0:
+            px, py, pz = into(motions[f], at.FROM, px, py, pz)
+        seen = sides[f, at.SEEN : at.SEEN + 3]
+        known &= seen[0] == px and seen[1] == py and seen[2] == pz
+        seen[0], seen[1], seen[2] = px, py, pz
+    return known
 
 
 @njit(cache=True)
-def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
-    """Set INSIDE, the radius of the motion sphere, and that of the ball to search.
+def set_radius(words, numbers, J, speed, x):  # type: ignore[no-untyped-def]
+    """Set INSIDE, the radius of the motion sphere, and that of the ball to search around x (3,).
 
     The ball is larger than the motion sphere by the standoff, since a step to the rim of the sphere
     could end right at a triangle outside, and by the sagitta of the path, up to a quarter of the
@@ -42,65 +63,27 @@ def set_radius(words, numbers, J, speed):  # type: ignore[no-untyped-def]
         radius = max(farthest(J, speed), 2.0 * numbers[at.STANDOFF])
     numbers[at.RADIUS] = radius
     numbers[at.SEARCHED] = radius + min(numbers[at.SAGITTA], 0.25 * radius) + numbers[at.BEYOND]
+    if words[at.MOVING] > 0:
+        searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+        motions = numba.carray(floats_at(words[at.MOTIONS]), (words[at.FIXTURES], at.MOTION))
+        for f in range(words[at.FIXTURES]):
+            if searches[f, at.MOVES] > 0:
+                motions[f, at.MORE] = more_reach(motions[f], x, numbers[at.SEARCHED])
 
 
 @njit(cache=True)
 def search_planes(words, numbers, planes, x):  # type: ignore[no-untyped-def]
     """Write the planes of all fixtures for a tip at x (3,); False: Python has to compute them."""
-    fixtures = words[at.FIXTURES]
-    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
-    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
-    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
-    for f in range(fixtures):
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+    for f in range(words[at.FIXTURES]):
         if searches[f, at.KIND] == at.GIVEN:
             return False
-    radius, tip_radius = numbers[at.SEARCHED], numbers[at.TIP_RADIUS]
-    standoff = numbers[at.STANDOFF]
-    while True:
-        m = 0
-        reach = radius
-        close = 0
-        least = np.inf
-        for f in range(fixtures):
-            search = searches[f]
-            nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
-            corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
-            order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
-            slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
-            edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
-            if search[at.KIND] == at.MESH:
-                found, valid = walk(
-                    nodes, corners, order, slivers, edges, False, (x[0], x[1], x[2]), radius,
-                    standoff, tip_radius, EASE, planes, m, queue, polygons,
-                )  # fmt: skip
-            else:
-                walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
-                frame = numba.carray(floats_at(search[at.FRAME]), (8,))
-                found, valid = between(
-                    walls, frame[:6].reshape((2, 3)), frame[6], frame[7], nodes, corners, order,
-                    slivers, edges, x, radius, standoff, tip_radius, planes, m, queue, polygons,
-                )  # fmt: skip
-            if valid == 0.0:
-                # The tip is on the surface: `fixtures` decides that in Python.
-                return False
-            space = np.inf
-            for i in range(m, m + found):
-                planes[i, at.FIXTURE] = f
-                space = min(space, room(planes[i], x))
-            if space - tip_radius < standoff:
-                close += 1
-            least = min(least, space - tip_radius)
-            m += found
-            reach = min(reach, valid)
-        words[at.COUNT] = m
-        numbers[at.REACH] = reach
-        # Closer than the standoff to two fixtures: the tool may come as close to the farther one as
-        # it is to the nearer one, as between two walls of one fixture (`certified.walk`).
-        if standoff < numbers[at.STANDOFF] or close < 2:
-            return True
-        standoff = least
-        if not standoff > YIELD:
-            return True
+    words[at.COUNT], numbers[at.REACH], met = _search(
+        words, numbers, planes, 0, (x[0], x[1], x[2]), numbers[at.SEARCHED],
+        numbers[at.TIP_RADIUS], True,
+    )  # fmt: skip
+    # On a surface: `fixtures` decides that in Python.
+    return not met
 
 
 @njit(cache=True)
@@ -113,79 +96,178 @@ def search_bodies(words, numbers, planes, places, jacobians, guards, table):  # 
     While the tip is inside of something, bodies that meet the mesh are left out: they have to come
     out with it. Otherwise such a body is STUCK, and the tool holds.
     """
-    fixtures = words[at.FIXTURES]
-    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     bodies = numba.carray(integers_at(words[at.BODY_TABLE]), (words[at.BODIES], at.BODY))
-    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
-    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
     words[at.STUCK] = 0
     for b in range(words[at.BODIES]):
         first, second = bodies[b, at.FIRST], bodies[b, at.SECOND]
         _set_ball(numbers, jacobians, guards, table, first, second)
-        radius = guards[first, at.BALL]
+        radius, thickness = guards[first, at.BALL], guards[first, at.THICKNESS]
         start = words[at.COUNT]
-        reach = radius
+        m, reach = start, radius
         if not _in_port(places, guards, bodies[b]):
-            standoff = numbers[at.STANDOFF]
-            thickness = guards[first, at.THICKNESS]
             p, q = places[first], places[second]
-            while True:
-                m = start
-                reach = radius
-                close = 0
-                least = np.inf
-                for f in range(fixtures):
-                    search = searches[f]
-                    if search[at.KIND] != at.MESH:
-                        continue
-                    nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
-                    corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
-                    order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
-                    slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
-                    edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
-                    if first == second:
-                        found, valid = walk(
-                            nodes, corners, order, slivers, edges, False, (p[0], p[1], p[2]),
-                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
-                        )  # fmt: skip
-                    else:
-                        found, valid = walk(
-                            nodes, corners, order, slivers, edges, False,
-                            (p[0], p[1], p[2], q[0], q[1], q[2]),
-                            radius, standoff, thickness, EASE, planes, m, queue, polygons,
-                        )  # fmt: skip
-                    if valid == 0.0:
-                        if words[at.INSIDE] > 0:
-                            continue
-                        words[at.STUCK] = 1
-                    space = np.inf
-                    for i in range(m, m + found):
-                        planes[i, at.FIXTURE] = f
-                        planes[i, at.CAPSULE] = bodies[b, at.NUMBER]
-                        planes[i, at.POINT] = first
-                        space = min(space, room(planes[i], p), room(planes[i], q))
-                    if space - thickness < standoff:
-                        close += 1
-                    least = min(least, space - thickness)
-                    m += found
-                    reach = min(reach, valid)
-                if standoff < numbers[at.STANDOFF] or close < 2:
-                    break
-                standoff = least
-                if not standoff > YIELD:
-                    break
-            count = m - start
+            if first == second:
+                m, reach, met = _search(
+                    words, numbers, planes, start, (p[0], p[1], p[2]), radius, thickness, False
+                )
+            else:
+                m, reach, met = _search(
+                    words, numbers, planes, start, (p[0], p[1], p[2], q[0], q[1], q[2]), radius,
+                    thickness, False,
+                )  # fmt: skip
+            if met and words[at.INSIDE] == 0:
+                words[at.STUCK] = 1
+        count = m - start
+        for i in range(start, m):
+            planes[i, at.CAPSULE] = bodies[b, at.NUMBER]
+            planes[i, at.POINT] = first
             if first != second:
-                for i in range(start, m):
-                    planes[i + count] = planes[i]
-                    planes[i + count, at.POINT] = second
-                m += count
-            words[at.COUNT] = m
+                planes[i + count] = planes[i]
+                planes[i + count, at.POINT] = second
+        words[at.COUNT] = m + count if first != second else m
         # As for the tip: the step ends within the motion sphere, its path within what was searched.
         whole = reach >= radius
         for end in (first, second):
             guards[end, at.PATH_LIMIT] = reach - numbers[at.BEYOND] if whole else reach
             guards[end, at.STEP_LIMIT] = min(reach, guards[first, at.STEP_RADIUS])
+
+
+@njit(cache=True)
+def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # type: ignore[no-untyped-def]
+    """Write the planes of all fixtures for one body, from row `start` on.
+
+    Args:
+        ends: of its axis, or the centre of a ball, see `certified.walk`.
+        radius: of the ball to search [m].
+        thickness: radius of the body [m].
+        tip: whether it is the tip, which corridors guard too.
+
+    Returns:
+        The row after the last plane, the radius they are valid in [m], and whether the body meets a
+        surface. The search for the tip ends there; a surface that another body meets has no planes
+        while the tip is inside of something, and a radius of 0 otherwise.
+    """
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
+    polygons = numba.carray(floats_at(words[at.POLYGONS]), (2, CORNERS, 3))
+    sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    standoff = numbers[at.STANDOFF]
+    lowered = 0.0
+    while True:
+        m = start
+        most = lowered
+        reach = radius
+        close = 0
+        least = np.inf
+        met = False
+        for f in range(fixtures):
+            search = searches[f]
+            nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
+            corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
+            order = numba.carray(integers_at(search[at.ORDER]), (search[at.TRIANGLES],))
+            slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
+            edges = numba.carray(bytes_at(search[at.EDGES]), (search[at.TRIANGLES], 3))
+            margin = 0.0
+            low = 0.0
+            here = ends
+            more = 0.0
+            wider = 1.0
+            if searches[f, at.MOVES] > 0:
+                here = _ends_into(motions[f], ends)
+                more, wider = _for_motion(motions[f], ends, radius, numbers[at.STANDOFF])
+            if search[at.KIND] == at.MESH:
+                if not tip and search[at.TOOL] == 0:
+                    continue
+                margin = sides[f, at.MARGIN]
+                nodes_too = search[at.NODE_COUNT] if search[at.VARIED] > 0 else 0
+                highest = numba.carray(floats_at(search[at.NODE_MARGINS]), (nodes_too,))
+                own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))
+                found, valid, low = walk(
+                    nodes, corners, order, slivers, edges, margin, highest, own, lowered, False,
+                    here, radius + more, wider * standoff, thickness, EASE, planes, m, queue,
+                    polygons,
+                )  # fmt: skip
+            elif tip and len(ends) == 3:
+                walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
+                frame = numba.carray(floats_at(search[at.FRAME]), (8,))
+                found, valid = between(
+                    walls, frame[:6].reshape((2, 3)), frame[6], frame[7], nodes, corners, order,
+                    slivers, edges, here[:3], radius + more, wider * standoff, thickness, planes, m,
+                    queue, polygons,
+                )  # fmt: skip
+            else:
+                continue
+            if valid == 0.0:
+                met = True
+                if tip:
+                    return m, 0.0, met
+                if words[at.INSIDE] > 0:
+                    continue
+            space = np.inf
+            for i in range(m, m + found):
+                planes[i, at.FIXTURE] = f
+                planes[i, at.KEEP] = wider * numbers[at.STANDOFF] + planes[i, at.PUSH]
+                space = min(space, _room(planes[i], here) - max(planes[i, at.PUSH] - low, 0.0))
+                planes[i, at.PUSH] = 0.0
+                if searches[f, at.MOVES] > 0:
+                    put(planes[i], motions[f])
+            if space - thickness < wider * standoff or low > lowered:
+                close += 1
+            most = max(most, low)
+            least = min(least, (space - thickness) / wider)
+            m += found
+            if more > 0.0:
+                valid = radius if valid >= radius + more else max(valid - more, 0.0)
+            reach = min(reach, valid)
+        # Closer than standoff and margin to two fixtures: the tool may come as close to the farther
+        # one as it is to the nearer one, as between two walls of one fixture (`certified.walk`).
+        # Margins are lowered first, by the same length.
+        if close < 2:
+            break
+        if most > lowered:
+            lowered = most
+            continue
+        if standoff < numbers[at.STANDOFF]:
+            break
+        standoff = least
+        if not standoff > YIELD:
+            break
+    return m, reach, met
+
+
+@njit(cache=True)
+def _ends_into(motion, ends):  # type: ignore[no-untyped-def]
+    """The ends in the frame of a structure at the start of the tick."""
+    a = into(motion, at.FROM, ends[0], ends[1], ends[2])
+    if len(ends) == 3:
+        return a
+    b = into(motion, at.FROM, ends[-3], ends[-2], ends[-1])
+    return a[0], a[1], a[2], b[0], b[1], b[2]
+
+
+@njit(cache=True)
+def _for_motion(motion, ends, radius, standoff):  # type: ignore[no-untyped-def]
+    """By how much the ball has to be larger [m], and how many times the standoff has to be as wide.
+
+    From the standoff a plane leaves a quarter for what a path bends: four times that which comes of
+    the motion of the structure alone is kept for it.
+    """
+    first = ends[:3]
+    more = more_reach(motion, first, radius)
+    bent = bend(motion, first, 0.0)
+    if len(ends) == 6:
+        more = max(more, more_reach(motion, ends[-3:], radius))
+        bent = max(bent, bend(motion, ends[-3:], 0.0))
+    return more, max(1.0, 8.0 * bent / standoff)
+
+
+@njit(cache=True)
+def _room(plane, ends):  # type: ignore[no-untyped-def]
+    """Least distance of the ends to the plane through the FOOT of a plane, before it was moved."""
+    nx, ny, nz = plane[at.NORMAL], plane[at.NORMAL + 1], plane[at.NORMAL + 2]
+    return lowest(nx, ny, nz, ends) - height(plane, plane[at.FOOT : at.FOOT + 3])
 
 
 @njit(cache=True)

@@ -34,15 +34,20 @@ class Step:
     Attributes:
         q: (n,) joint positions to command [rad or m].
         tip: T_base_tip at q.
-        planes: the half-spaces that were verified at the new tip.
+        planes: the half-spaces that were verified at the new tip; of a structure that moves as
+            they stand at the end of the tick.
         force: (3,) haptic force [N].
         status: outcome of the tick.
         solver: how the optimum was found.
         multipliers: (m,) how far each plane pushed the tip back from where it would go [m].
         radius: of the motion sphere [m]; `planes.radius` is what was allowed of it.
-        distance: from the tick's start to the nearest plane's closest point [m]; inf: none.
+        distance: from the tick's start to the nearest plane's closest point [m]; inf: none. That
+            of a structure that moves is where it is at the end of the tick.
         limits: (n,) −1 at a joint's lower position limit, +1 at its upper one, else 0.
         timings: where the time went [s].
+        violation: with the status OVERTAKEN, how deep the anatomy may be in the tool at most [m]:
+            at some place within this distance the tool would be free. Of a body that overlaps the
+            anatomy when the tick begins that is its centre or axis. Else 0.
     """
 
     q: FloatArray
@@ -56,6 +61,7 @@ class Step:
     distance: float
     limits: NDArray[np.int8]
     timings: Timings
+    violation: float
 
     def __init__(
         self,
@@ -70,11 +76,12 @@ class Step:
         distance: float,
         limits: NDArray[np.int8],
         timings: Timings,
+        violation: float = 0.0,
     ) -> None:
         self.__dict__.update(
             q=q, tip=tip, planes=planes, force=force, status=status, solver=solver,
             multipliers=multipliers, radius=radius, distance=distance, limits=limits,
-            timings=timings,
+            timings=timings, violation=violation,
         )  # fmt: skip
 
     def __getattr__(self, name: str) -> Any:
@@ -156,6 +163,7 @@ def _record_of(step: Step) -> tuple[bytes, int, float]:
     whole[[at.REPORT_STATUS, at.REPORT_SOLVER]] = step.status, step.solver
     whole[at.REPORT_RADIUS], whole[at.REPORT_ALLOWED] = step.radius, planes.radius
     whole[at.REPORT_DISTANCE] = step.distance
+    whole[at.REPORT_VIOLATION] = step.violation
     whole[at.REPORT_MARKS : at.REPORT_MARKS + 4] = np.cumsum(step.timings[:4])
     whole[at.REPORT_FORCE : at.REPORT_FORCE + 3] = step.force
     whole[at.REPORT_TIP : at.REPORT_TIP + 12] = step.tip.homogeneous[:3].ravel()
@@ -184,6 +192,7 @@ _CUT: dict[str, Callable[[bytes, int, float], Any]] = {
     "multipliers": lambda record, n, _: _read_only(_records(record, n)[:, at.PUSH].copy()),
     "radius": lambda record, n, _: _number(record, at.REPORT_RADIUS),
     "distance": lambda record, n, _: _number(record, at.REPORT_DISTANCE),
+    "violation": lambda record, n, _: _number(record, at.REPORT_VIOLATION),
     "limits": lambda record, n, _: _read_only(
         numbers_of(record, at.HEAD + n, n).astype(np.int8)
     ),

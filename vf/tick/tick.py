@@ -9,6 +9,7 @@ block (`vf.tick.block`), described in `vf.layout`.
 from __future__ import annotations
 
 import numba
+import numpy as np
 
 from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit, now
@@ -17,8 +18,20 @@ from vf.qp.problem import JOINT_RANGE, desired_step, fill_rows, obeys, usable
 from vf.qp.solver import Solver
 from vf.tick.attempts import ask, bisect, next_attempt, set_trial, settle, shortened
 from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
+from vf.tick.moving import set_carries, set_motions
 from vf.tick.report import write_report
 from vf.tick.search import search_bodies, search_planes, set_radius, sides_known
+from vf.tick.sweep import ask_at_contacts
+from vf.tick.yielding import (
+    begin_to_yield,
+    bound_speed,
+    choose_least,
+    keep_least,
+    measure_violation,
+    obeys_all,
+    still_obeys,
+    yield_more,
+)
 
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 
@@ -76,12 +89,17 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                 jacobians[0, k, j] = J[k, j]
         if points > 1:
             _place_bodies(words, table[at.POSITION], guards, places, jacobians)
+        words[at.YIELDS] = 0
+        numbers[at.GIVEN_UP] = numbers[at.VIOLATION] = 0.0
+        numbers[at.LEAST] = np.inf
+        if words[at.MOVING] > 0:
+            set_motions(words)
         if not sides_known(words, places[0]):
             return -at.SIDED
         phase = at.SIDED
     planes = numba.carray(floats_at(words[at.PLANES]), (words[at.ROOM], at.PLANE))
     if phase == at.SIDED:
-        set_radius(words, numbers, J, table[at.SPEED])
+        set_radius(words, numbers, J, table[at.SPEED], places[0])
         if words[at.INSIDE] > 0 or not search_planes(words, numbers, planes, places[0]):
             return -at.FOUND
         phase = at.FOUND
@@ -119,9 +137,15 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             table[at.LOWER, j] = min(table[at.LOWEST, j] - table[at.POSITION, j], 0.0)
             table[at.UPPER, j] = max(table[at.HIGHEST, j] - table[at.POSITION, j], 0.0)
         rows = numba.carray(floats_at(words[at.ROWS]), (words[at.ROOM], n))
+        moving = words[at.MOVING] > 0
+        if moving:
+            set_carries(words, planes, places)
         numbers[at.DISTANCE], numbers[at.DEFICIT] = fill_rows(
-            planes, m, places, jacobians, numbers[at.STANDOFF], guards, rows, bounds
+            planes, m, places, jacobians, numbers[at.STANDOFF], guards, moving, rows, bounds
         )
+        if moving:
+            ask_at_contacts(planes, m, places, guards, rows, bounds)
+            bound_speed(planes, m, bounds, table)
         words[at.STAGE] = at.WHOLE
         if ask(words, numbers, table, bounds, scratch, multipliers):
             return -at.SOLVED
@@ -135,12 +159,19 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if phase == at.SOLVED:
             if words[at.LEFT] > 0:
                 settle(words, n, table, scratch, multipliers)
-            if words[at.STAGE] <= at.RELAXED:
+            if words[at.STAGE] == at.YIELDING:
+                if yield_more(words, numbers, table, planes, J, scratch, multipliers):
+                    if words[at.LEFT] > 0:
+                        return -at.SOLVED
+                    continue
+                set_trial(numbers, table, jacobians, at.STEP, 1.0, bulges)
+            elif words[at.STAGE] <= at.RELAXED:
                 infeasible = words[at.SOLVER] == INFEASIBLE
                 if infeasible and numbers[at.DEFICIT] > 0.0 and words[at.STAGE] == at.WHOLE:
-                    # The joints may not be able to recover that fast: zero motion obeys these rows.
+                    # The joints may not be able to recover that fast: zero motion obeys these rows,
+                    # or would if the structures stood still.
                     for i in range(m):
-                        bounds[i] = min(bounds[i], 0.0)
+                        bounds[i] = min(bounds[i], planes[i, at.CARRY])
                     words[at.STAGE] = at.RELAXED
                     if ask(words, numbers, table, bounds, scratch, multipliers):
                         return -at.SOLVED
@@ -148,15 +179,27 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                 words[at.FOUND_BY] = words[at.SOLVER]
                 for i in range(m):
                     planes[i, at.PUSH] = multipliers[i]
+                if infeasible and words[at.MOVING] > 0 and words[at.STUCK] == 0:
+                    begin_to_yield(words, numbers, table, scratch, multipliers)
+                    if words[at.LEFT] > 0:
+                        return -at.SOLVED
+                    continue
                 moves = shortened(numbers, table, J, scratch, at.STEP)
                 numbers[at.MARKS + 2] = now()
-                if not moves or words[at.STUCK] > 0:
+                if (not moves and words[at.MOVING] == 0) or words[at.STUCK] > 0:
                     numbers[at.SHARE] = 0.0 if words[at.STUCK] > 0 else 1.0
                     table[at.TRIAL] = table[at.POSITION]
                     tip[:] = start
                     return write_report(words, numbers, table, goal, tip, planes, places[0])
                 set_trial(numbers, table, jacobians, at.STEP, 1.0, bulges)
             elif words[at.SOLVER] == INFEASIBLE:
+                if words[at.MOVING] > 0 and not still_obeys(
+                    words, numbers, planes, places, guards, bulges
+                ):
+                    return _end_yielding(
+                        words, numbers, table, goal, start, tip, planes, places, trials, jacobians,
+                        guards, bulges,
+                    )  # fmt: skip
                 bisect(words, numbers, table, start, jacobians, bulges)
             else:
                 shortened(numbers, table, J, scratch, at.OTHER)
@@ -171,7 +214,12 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             if points > 1:
                 chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
                 place_points(chain, table[at.TRIAL], guards, trials)
-            allowed = obeys(planes, m, places, trials, bulges, guards)
+            if words[at.MOVING] == 0:
+                allowed = obeys(planes, m, places, trials, bulges, guards)
+            else:
+                allowed, short = obeys_all(words, numbers, planes, places, trials, bulges, guards)
+                if not allowed and words[at.STAGE] < at.PART:
+                    keep_least(words, numbers, table, tip, short)
             if allowed and words[at.INSIDE] > 0:
                 return -at.JUDGED
         else:
@@ -180,6 +228,15 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             # The optimum within the tick's bounds, of the first or the corrected problem.
             numbers[at.SHARE] = 1.0
             return write_report(words, numbers, table, goal, tip, planes, trials[0])
+        if (
+            words[at.MOVING] > 0
+            and words[at.STAGE] == at.CORRECTED
+            and not still_obeys(words, numbers, planes, places, guards, bulges)
+        ):
+            return _end_yielding(
+                words, numbers, table, goal, start, tip, planes, places, trials, jacobians, guards,
+                bulges,
+            )  # fmt: skip
         phase = next_attempt(
             words, numbers, table, planes, places, trials, jacobians, guards, bulges, scratch,
             multipliers, allowed, start, tip,
@@ -195,6 +252,23 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if words[at.LINKS] == 0:
             return -at.TRIED
         _place(words, table[at.TRIAL], tip)
+
+
+@njit(cache=True)
+def _end_yielding(  # type: ignore[no-untyped-def]
+    words, numbers, table, goal, start, tip, planes, places, trials, jacobians, guards, bulges
+):  # fmt: skip
+    """Take the step that misses the planes least, which is no worse than standing still."""
+    choose_least(words, numbers, table, start, tip, planes, places, guards, bulges)
+    for k in range(3):
+        trials[0, k] = tip[k, 3]
+    if words[at.POINTS] > 1:
+        chain = numba.carray(floats_at(words[at.CHAIN]), (words[at.LINKS], LINK))
+        place_points(chain, table[at.TRIAL], guards, trials)
+    measure_violation(
+        words, numbers, table, start, tip, planes, places, trials, jacobians, guards, bulges
+    )
+    return write_report(words, numbers, table, goal, tip, planes, trials[0])
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from tests.support import exact, naive
 from vf.layout import PLANE
 from vf.planes import Planes, planes_of
 from vf.rules.certified import EASE, walk_alone
+from vf.rules.margins import NO_MARGIN
 
 STANDOFF = 1e-3
 RADIUS = 5e-3
@@ -62,7 +63,7 @@ def walked(surface: vf.Surface, x: np.ndarray, room: int) -> Planes:
     """What a walk finds that has room for so many planes."""
     planes, tree = np.empty((room, PLANE)), surface.tree
     m, reach = walk_alone(
-        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, False,
+        tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, *NO_MARGIN, False,
         x, RADIUS, STANDOFF, 0.0, EASE, planes,
     )  # fmt: skip
     return planes_of(planes[:m], reach)

@@ -41,6 +41,7 @@ def test_no_two_things_stand_at_the_same_place() -> None:
             "table": block("TASK", "JOINT_ROWS", {"TASK": 6}),
             "search": block("KIND", "SEARCH", {}),
             "side": block("SEEN", "SIDE", {"SEEN": 3}),
+            "motion": block("FROM", "MOTION", {"FROM": 12, "TO": 12}),
             "report": block(
                 "REPORT_STATUS", "HEAD",
                 {"REPORT_MARKS": 4, "REPORT_FORCE": 3, "REPORT_TIP": 12},

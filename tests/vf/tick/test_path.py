@@ -12,8 +12,8 @@ import pytest
 import robots
 import vf
 from tests.support import naive
-from vf.controller import RANGES
 from vf.qp import problem
+from vf.settings import RANGES
 
 ARMS = ("point", "psm", "panda", "ur5")
 FLOOR = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.5, 0.0]])
