@@ -120,15 +120,16 @@ def run(
         mesh = damage(kind, campaign.meshes[name], campaign.seed)
         for arm_name, share in campaign.shares():
             for k, radius, part, steps in parts(campaign.radii, share):
+                turn = number + k + part
                 found.drives.append(
                     (
                         arm_name,
                         case,
                         instrument.drive(
                             campaign.arms[arm_name][0], mesh, guard=campaign.guard, radius=radius,
-                            period=PERIODS[(number + k + part) % len(PERIODS)], steps=steps,
+                            period=PERIODS[turn % len(PERIODS)], steps=steps,
                             seed=campaign.seed + 1000 * number + k + 10**6 * part,
-                            noise=campaign.noise if (number + k + part) % 2 else 0.0, progress=progress,
+                            noise=campaign.noise if turn % 2 else 0.0, progress=progress,
                         ),
                     )
                 )  # fmt: skip
