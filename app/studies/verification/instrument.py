@@ -141,7 +141,8 @@ def query(
             along -= (along @ out) * out / (out @ out)
         along *= length / np.linalg.norm(along)
         spot = rng.dirichlet([1.0, 1.0, 1.0]) @ corners + out
-        share = rng.uniform(-0.2, 1.2)
+        # Some of the balls have the place beyond an end of the axis.
+        share = rng.uniform(-0.2, 1.2) if edges is not None else rng.random()
         ends = np.array([spot - share * along, spot + (1.0 - share) * along])
         if not sweep.apart(surface, ends, thickness):
             continue
