@@ -81,7 +81,7 @@ def test_a_narrow_free_way_is_gone_as_if_there_were_no_mesh(name: str) -> None:
             )
             for fixtures, standoff in (([], 20 * UM), ([fixture], 20 * UM), ([fixture], 250 * UM))
         ]
-        off = [np.abs(arm_axes(arm, tool) - arm_axes(arm, tools[0])).max() for tool in tools]
+        off = [np.abs(axes_of(arm, tool) - axes_of(arm, tools[0])).max() for tool in tools]
         # Near a singular posture a tool leaves its proxy's way, whatever there is around it.
         if min(judge.clearance(q).min() for q in tools[0]) < NARROW[0]:
             continue
@@ -94,5 +94,6 @@ def test_a_narrow_free_way_is_gone_as_if_there_were_no_mesh(name: str) -> None:
     assert hindered > seen // 2
 
 
-def arm_axes(arm: robots.Arm, tool: np.ndarray) -> np.ndarray:
+def axes_of(arm: robots.Arm, tool: np.ndarray) -> np.ndarray:
+    """The capsules' axes (k, c, 2, 3) for joints (k, n)."""
     return np.array([arm.axes(q) for q in tool])
