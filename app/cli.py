@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
-from app.choices import check_mesh
+from app.choices import NO_MESH, check_mesh
 from app.commands import COMMANDS, answer, call, listing, one_of
 from app.console import flushed_output, prepare
 from app.options import parse_as
@@ -23,6 +24,7 @@ the commands:
 Examples:
   vf-sandbox --mesh gear --rule paper --radius 0.5mm
   vf-sandbox --scenario slide-into-the-orbit --open
+  vf-sandbox --mesh bone.stl --structure nerve.stl --margin 1mm --unit mm
   vf-sandbox --mesh scan.stl --unit mm --robot point --tip-radius 1mm
   vf-sandbox mesh check scan.stl --unit mm
 
@@ -62,6 +64,8 @@ def _page(words: list[str]) -> int:
 
     options, scenario = _parsed(words)
     check_mesh(options.mesh)
+    for one in options.structures:
+        check_mesh(one.file)
     return serve(options, scenario)
 
 
@@ -69,6 +73,8 @@ def _parsed(words: list[str]) -> tuple[Options, Scenario | None]:
     """Options from the words; the defaults are those of the scenario they name, if any."""
     options = parse_as(Options, "vf-sandbox", words, ABOUT)
     if options.scenario is None:
+        if options.structures and not any(word.split("=")[0] == "--mesh" for word in words):
+            options = replace(options, mesh=NO_MESH)  # the first structure is the mesh
         return options, None
     scenario = find(options.scenario)
     options = parse_as(Options, "vf-sandbox", words, ABOUT, scenario.applied(Options()))

@@ -5,7 +5,7 @@
         depth: float = option(Length(0.0, 5e-3), 1e-3, "How deep to cut.")
 
 The kind validates, reads and writes the value (`app.kinds`); the command line and its help are made
-from the same declaration (`parse_as`).
+from the same declaration (`parse_as`). A dataclass can be the value of an option itself (`Record`).
 
 Cheap to import (no kernels, no robots), so that `--help` and usage errors are immediate.
 """
@@ -13,12 +13,13 @@ Cheap to import (no kernels, no robots), so that `--help` and usage errors are i
 from __future__ import annotations
 
 import dataclasses
+import json
 import textwrap
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, field, make_dataclass
 from enum import Enum
 from inspect import cleandoc
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -35,6 +36,7 @@ class Scope(Enum):
     MESH = "the mesh, and with it the scene"  # options that change together
     ARM = "the arm, and with it the scene"
     FIXTURE = "the fixture and the controller"
+    VIEW = "the drawing"
     TELEOPERATION = "the map from the handle to the proxy"
     SERVER = "the program"
 
@@ -50,6 +52,7 @@ class Option:
         recorded: whether it is in recordings, because ticks can depend on it.
         shared: whether it is in the files of scenarios.
         positional: whether it is given on the command line without its name.
+        flag: its name on the command line; empty: the field's.
     """
 
     kind: Kind
@@ -58,6 +61,7 @@ class Option:
     recorded: bool
     shared: bool
     positional: bool
+    flag: str = ""
 
 
 def option(
@@ -69,6 +73,7 @@ def option(
     recorded: bool | None = None,
     shared: bool | None = None,
     positional: bool = False,
+    flag: str = "",
 ) -> Any:
     """A field with its declaration, see `Option`.
 
@@ -79,7 +84,7 @@ def option(
     usual = scope not in (None, Scope.SERVER)
     recorded = usual if recorded is None else recorded
     shared = usual if shared is None else shared
-    entry = Option(kind, about, scope, recorded, shared, positional)
+    entry = Option(kind, about, scope, recorded, shared, positional, flag)
     return field(default=default, metadata={"option": entry})
 
 
@@ -134,9 +139,133 @@ def check_keys(what: str, content: Any, known: Collection[str]) -> Mapping[str, 
     return content
 
 
-def plain(value: Any) -> Any:
-    """An option's value from its JSON in SI units: a list becomes a tuple."""
-    return tuple(value) if isinstance(value, list) else value
+def raw(value: Any) -> Any:
+    """An option's value for JSON in SI units: what `plain` reads back."""
+    if isinstance(value, tuple):
+        return [raw(one) for one in value]
+    if not isinstance(value, Checked):
+        return value
+    return {name: raw(getattr(value, name)) for name in declared(type(value))}
+
+
+def plain(value: Any, kind: Kind) -> Any:
+    """An option's value from its JSON in SI units: a list becomes a tuple, an object a record.
+
+    Raises:
+        OptionError: an object that is no record of the kind.
+    """
+    if isinstance(value, list):
+        return tuple(plain(one, kind.of if isinstance(kind, Many) else kind) for one in value)
+    if isinstance(value, dict) and isinstance(kind, Record):
+        return kind.fields(check_keys("a record", value, declared(kind.of)))
+    return value
+
+
+@dataclass(frozen=True)
+class Record(Kind):
+    """Values of a dataclass of options, in JSON an object that has what differs from the defaults.
+
+    On the command line, repeated (`Repeated`), the option's word is the first field, and the other
+    fields are options that follow it directly: ``--structure nerve.stl --margin 1mm --guard tip``.
+    """
+
+    of: type
+    what: str
+
+    json: ClassVar[tuple[type, ...]] = (dict,)
+
+    @property
+    def first(self) -> str:
+        """Name of the first field."""
+        return next(iter(declared(self.of)))
+
+    @property
+    def metavar(self) -> str:  # type: ignore[override]
+        """That of the first field."""
+        return declared(self.of)[self.first].kind.metavar
+
+    @property
+    def wanted(self) -> str:  # type: ignore[override]
+        """An object with some of the fields."""
+        return f"an object with {', '.join(declared(self.of))}"
+
+    def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, self.of):
+            raise OptionError(f"{name} must be {self.what}, not {shown(value)}")
+
+    def fields(self, values: Mapping[str, Any]) -> Any:
+        """The record of these fields, which are checked; lists are read as tuples."""
+        return self.of(**{key: plain(value, Kind()) for key, value in values.items()})
+
+    def from_json(self, value: Any) -> Any:
+        known = declared(self.of)
+        found = super().from_json(value)
+        for key in found:
+            if key not in known:
+                raise OptionError(f"unknown key {shown(key)}: choose from {', '.join(known)}")
+        if self.first not in found:
+            raise OptionError(f'"{self.first}" is missing in {self.what}')
+        values = {}
+        for key, one in found.items():
+            try:
+                values[key] = known[key].kind.from_json(one)
+            except OptionError as error:
+                raise OptionError(f'"{key}": {shown(one)}: {error}') from None
+        return self.of(**values)
+
+    def to_json(self, value: Any) -> Any:
+        defaults = {one.name: one.default for one in dataclasses.fields(self.of)}
+        return {
+            name: entry.kind.to_json(getattr(value, name))
+            for name, entry in declared(self.of).items()
+            if getattr(value, name) != defaults[name]
+        }
+
+    def parse(self, text: str) -> Any:
+        """A word made by `gathered`, or the first field alone."""
+        words = json.loads(text) if text.startswith("{") else {self.first: text}
+        values = {}
+        for key, entry in declared(self.of).items():
+            if key in words:
+                is_word = isinstance(words[key], str)
+                values[key] = entry.kind.parse(words[key]) if is_word else words[key]
+        return self.of(**values)
+
+    def format(self, value: Any) -> str:
+        return json.dumps(self.to_json(value), ensure_ascii=False)
+
+
+def gathered(words: list[str], options: Mapping[str, Option]) -> list[str]:
+    """The words of a command line with every record in one word, see `Record`."""
+    records = {
+        f"--{entry.flag or name}": entry.kind.of
+        for name, entry in options.items()
+        if isinstance(entry.kind, Repeated) and isinstance(entry.kind.of, Record)
+    }
+    out: list[str] = []
+    left = list(words)
+    while left:
+        flag, equals, value = left.pop(0).partition("=")
+        kind = records.get(flag)
+        if kind is None or not (equals or left):
+            out.append(f"{flag}{equals}{value}")
+            continue
+        known = declared(kind.of)
+        found: dict[str, Any] = {kind.first: value if equals else left.pop(0)}
+        while left:
+            name, equals, value = left[0].removeprefix("--").partition("=")
+            off = name.removeprefix("no-")
+            if not left[0].startswith("--") or off not in known or off == kind.first:
+                break
+            if isinstance(known[off].kind, Switch):
+                found[off] = name == off
+            elif name != off or not (equals or len(left) > 1):
+                break
+            else:
+                found[name] = value if equals else left.pop(1)
+            left.pop(0)
+        out += [flag, json.dumps(found)]
+    return out
 
 
 @dataclass(frozen=True)
@@ -167,6 +296,7 @@ def parse_as(
         # tyro does not wrap paragraphs
         print(_wrapped(description or kind.__doc__ or "") + "\n")
     options = declared(kind)
+    arguments = gathered(arguments, options)
     fields: list[Any] = []
     for one in dataclasses.fields(kind):  # type: ignore[arg-type]
         value = one.default if default is None else getattr(default, one.name)
@@ -181,7 +311,7 @@ def parse_as(
 
 def _for_tyro(entry: Option) -> Any:
     """The type of a field for tyro, with its help; tyro does not parse its words."""
-    kind, marks = entry.kind, [tyro.conf.arg(help=entry.about)]
+    kind, marks = entry.kind, [tyro.conf.arg(name=entry.flag or None, help=entry.about)]
     if entry.positional:
         marks.append(tyro.conf.Positional)
     if isinstance(kind, Switch):
@@ -211,7 +341,10 @@ def _read(name: str, entry: Option, value: Any) -> Any:
                 return tuple(map(kind.of.parse, value.words))
             return kind.parse(value.words[0])
         if isinstance(kind, Repeated):
-            return tuple(kind.of.parse(typed.words[0]) for typed in value)
+            # Those of the default stand before those of the command line.
+            return tuple(
+                kind.of.parse(one.words[0]) if isinstance(one, _Typed) else one for one in value
+            )
     except OptionError as error:
         raise OptionError(f"{name}: {error}") from None
     return value

@@ -20,19 +20,23 @@ from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.driving import Driving
 from app.devices.page import PageMaster
-from app.kinds import Number
-from app.options import Scope
+from app.kinds import Number, bare
+from app.options import Scope, declared
 from app.recording.capture import Tape
 from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.scene.work import Work
-from app.settings import DECLARED, MESH, Options, kind_of
+from app.settings import DECLARED, MESH, Options, Structure, kind_of
 
 DEFAULTS = Options()
+OF_MESH = (*MESH, "margin", "guarded", "colour", "opacity")  # go with the mesh
+STRUCTURE_LIVE = ("margin", "guard", "guarded", "name", "colour", "opacity")
 LIVE = tuple(  # options that are set while a session runs
-    name for name, entry in DECLARED.items() if entry.scope in (Scope.FIXTURE, Scope.TELEOPERATION)
+    name
+    for name, entry in DECLARED.items()
+    if entry.scope in (Scope.FIXTURE, Scope.VIEW, Scope.TELEOPERATION)
 )
 
 
@@ -81,9 +85,10 @@ class Session(Driving):
             scenes.warm_up()
             child.warm_up()
         self.scene: Scene = scenes.build(options, 1, say) if scene is None else scene
+        self.options = options = scenes.settled(options, self.scene)
         say("preparing the controller")
         if child is not None:
-            child.share(self.scene.surface)
+            child.share(self.scene.surfaces)
         plant = scenes.plant(self.scene, options)
         self.master = PageMaster(self.scene.T_base_start, options.scale, options.lock_orientation)
         self.work = Work()
@@ -136,7 +141,7 @@ class Session(Driving):
 
     @property
     def crossing(self) -> Crossing | None:
-        """Where the tip met the mesh since the last reset or change of scene, whatever the rule."""
+        """Where the tip met what is guarded since the last reset or change of scene."""
         return self._watch.crossing
 
     @property
@@ -215,7 +220,7 @@ class Session(Driving):
         return bool(self._writer.closed)
 
     def set(self, **changes: Any) -> Options:
-        """Change options of the fixture and of teleoperation; returns the options in force.
+        """Change options of fixture, drawing and teleoperation; returns the options in force.
 
         Numbers are clamped to their range. A change of teleoperation does not move the proxy.
 
@@ -249,6 +254,44 @@ class Session(Driving):
                 self._remap()
             return options
 
+    def set_structure(self, number: int, **changes: Any) -> Options:
+        """Change settings of a structure: 0 is the mesh, others follow in the order of the options.
+
+        A change of its name, colour or opacity has no effect on the control loop.
+
+        Args:
+            changes: by name: margin [m], which is clamped to its range, guard, guarded, name,
+                colour, opacity. The mesh has its guard and its name from the session's options.
+
+        Raises:
+            Refused: no such structure, another setting, or an invalid value.
+        """
+        with self._writer.exclusive():
+            if number == 0:
+                return self.set(**changes)
+            there = self.options.structures
+            if not 0 < number <= len(there):
+                raise Refused(f"there is no structure {number}: they are 0 to {len(there)}")
+            for name in changes:
+                if name not in STRUCTURE_LIVE:
+                    live = ", ".join(STRUCTURE_LIVE)
+                    raise Refused(f"{name} is none of what is set of a structure: {live}")
+            old = there[number - 1]
+            try:
+                if changes.get("margin") is not None:
+                    margin = bare(declared(Structure)["margin"].kind)
+                    assert isinstance(margin, Number)
+                    changes["margin"] = margin.clamped("margin", changes["margin"])
+                new = replace(old, **changes)
+                structures = (*there[: number - 1], new, *there[number:])
+                options = replace(self.options, structures=structures)
+                if (new.margin, new.guard, new.guarded) != (old.margin, old.guard, old.guarded):
+                    self._writer.write(plant=scenes.plant(self.scene, options))
+            except ValueError as error:
+                raise Refused(str(error)) from None
+            self.options = options
+            return options
+
     def change(
         self,
         mesh: str | None = None,
@@ -270,7 +313,7 @@ class Session(Driving):
             progress: called with a short text before each step.
             stop: of the operation (see `work`) that this is part of; None: it is its own.
             more: other `Options` by name, such as ``repair=True``. With a new `mesh`, options of
-                the mesh (`settings.MESH`) that are not given are reset to their defaults.
+                the mesh (`OF_MESH`) that are not given are reset to their defaults.
 
         Raises:
             Refused: another operation is in progress.
@@ -280,17 +323,17 @@ class Session(Driving):
         with contextlib.ExitStack() as stack:
             with self._writer.exclusive():  # raises `Refused` before the scene is built
                 stop = stack.enter_context(self.work.begin(stop))
-            wanted = {} if mesh is None else {name: getattr(DEFAULTS, name) for name in MESH}
+            wanted = {} if mesh is None else {name: getattr(DEFAULTS, name) for name in OF_MESH}
             named = {"mesh": mesh, "unit": unit, "robot": robot}
             wanted |= {name: value for name, value in named.items() if value is not None} | more
             options = replace(self.options, **wanted)
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = worker.build(options, self.scene.version + 1, arm, progress, stop)
-            self._loop.share(new.surface)
+            self._loop.share(new.surfaces)
             with self._writer.lock:
                 # Settings may have changed while the scene was built.
-                options = replace(self.options, **wanted)
+                options = scenes.settled(replace(self.options, **wanted), new)
                 plant = scenes.plant(new, options)
                 self.master.hold()
                 self._command(autopilot=False, plant=plant)

@@ -5,11 +5,15 @@ Cheap to import, see `app.options`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 
 from app import choices
 from app.kinds import (
     SEEDS,
+    Colour,
     File,
     Frame,
     Kind,
@@ -18,6 +22,7 @@ from app.kinds import (
     Number,
     OneOf,
     Place,
+    Repeated,
     Speed,
     Switch,
     Text,
@@ -25,7 +30,70 @@ from app.kinds import (
     Whole,
     bare,
 )
-from app.options import Checked, Scope, declared, option
+from app.options import Checked, Record, Scope, declared, option
+from app.words import OptionError
+
+MOST = 64  # structures beside the mesh
+
+
+@dataclass(frozen=True)
+class Structure(Checked):
+    """A surface that is guarded with a margin of its own. Lengths are in metres.
+
+    Attributes:
+        file: a mesh file, a label map, a folder of mesh files, or a name of the catalogue. All are
+            in the frame of the scene's mesh. A label may follow: ``head.nrrd:3``.
+        label: number or name of a label; None: all of them.
+        name: for the page; None: as the file says.
+        colour: such as ``#cc8844``; None: as the file says, or the page's choice.
+        opacity: of the drawing.
+        margin: distance the tool keeps beyond the standoff [m]; None: as the file says, else none.
+        guard: "tip" or "tool", as the option of the session; None: as that says.
+        guarded: whether it is guarded; it is drawn in any case.
+        unit: of the file; None: that of the scene's mesh.
+
+    Raises:
+        OptionError: an invalid value.
+    """
+
+    file: str = option(File(metavar="FILE[:LABEL]"), about="File, label map, folder or name.")
+    label: str | None = option(Maybe(Text(100)), None, "Number or name of a label.")
+    name: str | None = option(Maybe(Text(100)), None, "Name on the page.")
+    colour: str | None = option(Maybe(Colour()), None, "Colour of the drawing.")
+    opacity: float = option(Number(0.05, 1.0), 1.0, "Opacity of the drawing.")
+    margin: float | None = option(
+        Maybe(Length(0.0, 0.05), "default"), None, "Distance kept beyond the standoff."
+    )
+    guard: str | None = option(
+        Maybe(OneOf("guard", choices.GUARDS), "default"), None, "What is kept out."
+    )
+    guarded: bool = option(Switch(), True, "Whether it is guarded.")
+    unit: str | None = option(Maybe(OneOf("unit", choices.UNITS)), None, "Unit of the file.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        file, label = split(self.file)
+        if label is not None and self.label is None:
+            object.__setattr__(self, "file", file)
+            object.__setattr__(self, "label", label)
+
+    @property
+    def source(self) -> tuple[str, str | None, str | None]:
+        """What its surface depends on: file, label, unit."""
+        return self.file, self.label, self.unit
+
+
+def split(text: str) -> tuple[str, str | None]:
+    """File and label of ``FILE:LABEL``; what ends like a file's name has no label."""
+    file, colon, label = text.rpartition(":")
+    if not colon or not file or not label or "/" in label or re.search(r"\.\w+$", label):
+        return text, None
+    return file, label
+
+
+def printable(name: str) -> str:
+    """A name of a file or label as one of a structure: at most 100 printable characters."""
+    return "".join(c if c.isprintable() else "?" for c in name)[-100:] or "?"
 
 
 @dataclass(frozen=True)
@@ -92,6 +160,27 @@ class Options(Checked):
         Maybe(Length(1e-4, 2e-2), "off"), None,
         "How far the tool may leave the planned path sideways, or off.", Scope.FIXTURE,
     )  # fmt: skip
+    structures: tuple[Structure, ...] = option(
+        Repeated(Record(Structure, "a structure")), (),
+        "A further structure beside the mesh, in the mesh's own frame: a mesh file, a label map "
+        "(all labels, or FILE:3 or FILE:NAME), a folder of mesh files, or "
+        f"{', '.join(choices.SETS)}. May be repeated. What follows it directly is of this "
+        "structure: --margin, --guard, --name, --colour, --opacity, --unit, --no-guarded. "
+        "Without --mesh the first structure is the mesh.",
+        Scope.MESH, flag="structure",
+    )  # fmt: skip
+    margin: float = option(
+        Length(0.0, 0.05), 0.0,
+        "Distance the tool keeps from the mesh beyond the standoff. After --structure: from that.",
+        Scope.FIXTURE,
+    )  # fmt: skip
+    guarded: bool = option(
+        Switch(), True, "Whether the mesh is guarded; it is drawn in any case.", Scope.FIXTURE
+    )
+    colour: str | None = option(
+        Maybe(Colour(), "bone"), None, "Colour of the mesh, such as #cc8844.", Scope.VIEW
+    )
+    opacity: float = option(Number(0.05, 1.0), 1.0, "Opacity of the mesh.", Scope.VIEW)
     robot: str = option(
         OneOf("robot", choices.ROBOTS), "psm", "Arm that carries the tool.", Scope.ARM
     )
@@ -176,6 +265,21 @@ class Options(Checked):
         "options override it, except the mesh.", Scope.SERVER,
     )  # fmt: skip
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.structures) > MOST:
+            raise OptionError(f"structures are {len(self.structures)}: at most {MOST} are guarded")
+
+    @cached_property
+    def anatomy(self) -> tuple[Structure, ...]:
+        """The settings of all structures: those of the mesh first, then of the further ones."""
+        mesh = Structure(
+            self.mesh, colour=self.colour, opacity=self.opacity, margin=self.margin,
+            guarded=self.guarded, unit=self.unit,
+        )  # fmt: skip
+        named = replace(mesh, name=printable(mesh.label or Path(mesh.file).name))
+        return named, *self.structures
+
     @property
     def dt(self) -> float:
         """Length of a tick [s]."""
@@ -183,8 +287,14 @@ class Options(Checked):
 
     @property
     def guards_tool(self) -> bool:
-        """Whether all parts of the instrument are guarded, and not only its tip."""
-        return self.guard == "tool" and self.rule == "certified"
+        """Whether any structure holds all parts of the instrument, and not only its tip."""
+        return self.rule == "certified" and any(
+            self.guard_of(own) == "tool" for own in self.anatomy if own.guarded
+        )
+
+    def guard_of(self, own: Structure) -> str:
+        """What is kept out of a structure, its own or as the session says: "tip" or "tool"."""
+        return own.guard or self.guard
 
 
 DECLARED = declared(Options)

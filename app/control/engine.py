@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from app.control.autopilot import Script
 from app.control.messages import Command, LoopStats, Telemetry
 from app.devices import protocols
 from app.devices.simulated import SimulatedArm
-from app.settings import Options
+from app.settings import Options, Structure
 from robots import Arm
 
 log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ class Plant:
         autopilot: the scripted proxy of this scene.
         options: the settings it was made with.
         scene_options: the settings its scene was built with, which may differ from `options`.
+        structures: the surfaces beside the anatomy, arm base frame, as in `options`.
     """
 
     arm: Arm
@@ -51,6 +53,21 @@ class Plant:
     autopilot: Script
     options: Options
     scene_options: Options
+    structures: tuple[vf.Surface, ...] = ()
+
+    @property
+    def surfaces(self) -> tuple[vf.Surface, ...]:
+        """Those of all structures, the anatomy first, in the order of `Options.anatomy`."""
+        return self.surface, *self.structures
+
+    @property
+    def guarded(self) -> list[tuple[Structure, vf.Surface]]:
+        """The structures that are guarded, in the order of the controller's fixtures."""
+        return guarded(self.options, self.surfaces)
+
+    def is_free(self, p_base: NDArray[np.float64]) -> bool:
+        """Whether a tip at p_base (3,) is outside of all that is guarded, and clear of it."""
+        return all(is_free(one, p_base, self.clearance) for _, one in self.guarded)
 
 
 @dataclass(frozen=True)
@@ -102,6 +119,16 @@ def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) 
     if surface.nearest(p_base)[0] <= clearance:
         return False
     return not (surface.closed and surface.inside(p_base))
+
+
+def guarded(options: Options, surfaces: Sequence[vf.Surface]) -> list[tuple[Structure, vf.Surface]]:
+    """The structures that are guarded: their settings and surfaces.
+
+    Args:
+        surfaces: of all structures, in the order of `Options.anatomy`.
+    """
+    pairs = zip(options.anatomy, surfaces, strict=True)
+    return [(own, surface) for own, surface in pairs if own.guarded]
 
 
 class Engine:
@@ -222,7 +249,7 @@ class Engine:
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
             if (
                 not stays
-                or not is_free(new.surface, new.arm.tip(self._q).translation, new.clearance)
+                or not new.is_free(new.arm.tip(self._q).translation)
                 or _stuck(new, self._q)
             ):
                 self._move_to(_frozen(new.q0))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,8 +53,8 @@ class Host(ABC):
         """Number of the process and of the thread that the loop runs in; None: it does not."""
 
     @abstractmethod
-    def share(self, surface: vf.Surface) -> None:
-        """Make a surface ready for a plant to come. It may take long, in contrast to the plant.
+    def share(self, surfaces: Sequence[vf.Surface]) -> None:
+        """Make surfaces ready for a plant to come. It may take long, in contrast to the plant.
 
         Raises:
             OSError: there is no memory for it.

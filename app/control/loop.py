@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import vf
 from app.control.clock import Clock, Timing
@@ -93,8 +93,8 @@ class ControlLoop(Host):
         thread = self._thread.native_id
         return None if thread is None else (os.getpid(), thread)
 
-    def share(self, surface: vf.Surface) -> None:
-        pass  # it is in this process already
+    def share(self, surfaces: Sequence[vf.Surface]) -> None:
+        pass  # they are in this process already
 
     def start(self) -> None:
         self._thread.start()

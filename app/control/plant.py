@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.control.autopilot import Script
-from app.control.engine import Plant
+from app.control.engine import Plant, guarded
 from app.settings import Options
 from robots import Arm
 
@@ -33,6 +33,12 @@ class Description:
     autopilot: Script
     options: Options
     scene_options: Options
+    structures: tuple[vf.Surface, ...] = ()
+
+    @property
+    def surfaces(self) -> tuple[vf.Surface, ...]:
+        """Those of all structures, the anatomy first, in the order of `Options.anatomy`."""
+        return self.surface, *self.structures
 
 
 def describe(plant: Plant) -> Description:
@@ -46,6 +52,7 @@ def describe(plant: Plant) -> Description:
         autopilot=plant.autopilot,
         options=plant.options,
         scene_options=plant.scene_options,
+        structures=plant.structures,
     )
 
 
@@ -56,7 +63,13 @@ def assemble(description: Description, arm: Arm) -> Plant:
         ValueError: a corridor wider than the bends of its path allow.
     """
     options, surface = description.options, description.surface
-    fixtures: list[vf.Fixture] = [vf.MeshFixture(surface, rule=options.rule, radius=options.radius)]
+    fixtures: list[vf.Fixture] = [
+        vf.MeshFixture(
+            one, options.rule, options.radius, margin=own.margin or 0.0, guard=own.guard,
+            name=str(own.name),
+        )
+        for own, one in guarded(options, description.surfaces)
+    ]  # fmt: skip
     if options.corridor is not None and description.planned_path is not None:
         fixtures.append(corridor(surface, description.planned_path, options.corridor))
     settings = vf.Settings(
@@ -84,6 +97,7 @@ def assemble(description: Description, arm: Arm) -> Plant:
         autopilot=description.autopilot,
         options=options,
         scene_options=description.scene_options,
+        structures=description.structures,
     )
 
 

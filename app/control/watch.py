@@ -1,4 +1,4 @@
-"""Tests every tick for a crossing of the mesh by the tip, independently of rule and planes."""
+"""Tests every tick for a crossing of the anatomy by the tip, independently of rule and planes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.control.engine import Orders
+from app.control.engine import Orders, Plant
 from app.control.messages import Telemetry
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
-from app.judges.meeting import first_meeting
+from app.judges.meeting import Meeting, first_meeting
 
 log = logging.getLogger(__name__)
 
@@ -34,6 +34,7 @@ class Crossing:
         before: (3,) the tip's centre at the start of that tick, before the crossing [m].
         centre: whether the tip's centre crossed the triangle; False: only its ball (of the tip
             radius) overlapped the triangle.
+        structure: name of the structure whose triangle it is.
     """
 
     tick: int
@@ -43,6 +44,7 @@ class Crossing:
     point: NDArray[np.float64]
     before: NDArray[np.float64]
     centre: bool
+    structure: str = ""
 
 
 class Watch:
@@ -118,8 +120,8 @@ class Watch:
         starts = np.array([t.origin.translation for _, t in batch if t.origin is not None])
         ends = np.array([t.step.tip.translation for _, t in batch if t.step is not None])
         radius = 0.0 if known is not None else plant.options.tip_radius
-        met = first_meeting(plant.surface, starts, ends, radius)
-        while met is not None:
+        while (found := _first(plant, starts, ends, radius)) is not None:
+            name, met = found
             telemetry = batch[met.segment][1]
             self.crossing = Crossing(
                 tick=telemetry.tick,
@@ -129,13 +131,13 @@ class Watch:
                 point=met.point,
                 before=starts[met.segment],
                 centre=met.centre,
+                structure=name,
             )
             if met.centre:
                 return
             # Only the ball met it: look for a crossing of the centre.
             starts, ends = starts[met.segment :], ends[met.segment :]
-            batch = batch[met.segment :]
-            met = first_meeting(plant.surface, starts, ends)
+            batch, radius = batch[met.segment :], 0.0
 
     def _run(self) -> None:
         # Like the page's threads, it must not be preempted while it holds the interpreter lock.
@@ -147,3 +149,15 @@ class Watch:
                 log.exception("the watch for crossings failed")
                 self.missed += 1
         self.look()
+
+
+def _first(
+    plant: Plant, starts: NDArray[np.float64], ends: NDArray[np.float64], radius: float
+) -> tuple[str, Meeting] | None:
+    """The first meeting with any structure that is guarded, and its name; None: there is none."""
+    first: tuple[str, Meeting] | None = None
+    for own, surface in plant.guarded:
+        met = first_meeting(surface, starts, ends, radius)
+        if met is not None and (first is None or met.segment < first[1].segment):
+            first = str(own.name), met
+    return first

@@ -9,10 +9,10 @@ from app.kinds.base import Kind, Switch, shown
 from app.kinds.combined import Listed, Many, Maybe, Repeated, bare
 from app.kinds.number import SEEDS, Length, Number, Speed, Whole
 from app.kinds.space import FARTHEST, Place, Turn
-from app.kinds.text import File, Frame, OneOf, Path, Text
+from app.kinds.text import Colour, File, Frame, OneOf, Path, Text
 
 __all__ = [
-    "FARTHEST", "SEEDS", "File", "Frame", "Kind", "Length", "Listed", "Many", "Maybe", "Number",
-    "OneOf", "Path", "Place", "Repeated", "Speed", "Switch", "Text", "Turn", "Whole", "bare",
-    "shown",
+    "FARTHEST", "SEEDS", "Colour", "File", "Frame", "Kind", "Length", "Listed", "Many", "Maybe",
+    "Number", "OneOf", "Path", "Place", "Repeated", "Speed", "Switch", "Text", "Turn", "Whole",
+    "bare", "shown",
 ]  # fmt: skip

@@ -70,10 +70,19 @@ class Repeated(Many):
     """A tuple of any number of values; on the command line, the option is repeated."""
 
     more = ""
+    wanted, json = "a list", (list,)
 
     def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, tuple):
+            raise OptionError(f"{name} must be several values, not {shown(value)}")
         for one in value:
             self.of.check(name, one)
+
+    def from_json(self, value: Any) -> tuple[Any, ...]:
+        return tuple(map(self.of.from_json, super().from_json(value)))
+
+    def to_json(self, value: tuple[Any, ...]) -> list[Any]:
+        return list(map(self.of.to_json, value))
 
 
 class Listed(Many):

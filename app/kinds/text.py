@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 import unicodedata
 from dataclasses import dataclass
 from typing import Any
@@ -50,6 +51,22 @@ class Text(Kind):
                 f"{name} must be one line of 1 to {self.most} printable characters, "
                 f"not {shown(value)}"
             )
+
+
+class Colour(Kind):
+    """A colour of three bytes in hexadecimal digits, such as #cc8844."""
+
+    metavar, wanted = "#RRGGBB", 'a text such as "#cc8844"'
+
+    def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, str) or not re.fullmatch("#[0-9a-f]{6}", value):
+            raise OptionError(
+                f"{name} must be a colour such as #cc8844, six hexadecimal digits after #, "
+                f"not {shown(value)}"
+            )
+
+    def parse(self, text: str) -> str:
+        return text.lower()
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class _Reader:
             raise RecordingError("not a recording: header.json is missing")
         header = entries.header(self._bytes("header.json", MAX_HEADER), entries.Archive, VERSION)
         places = entries.places(header.places, VERSION)
-        plants, courses = entries.plants(header.plants, len(places), VERSION)
+        plants, courses = entries.plants(header.plants, places, VERSION)
         chunks = header.chunks
         if sum(chunks) > MAX_ROWS:
             raise RecordingError(f"{sum(chunks):,} rows: at most {MAX_ROWS:,} are read")

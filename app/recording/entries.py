@@ -31,9 +31,10 @@ from app.recording.format import (
     RECORDED,
     Place,
     RecordingError,
+    Shape,
 )
 from app.scenarios.values import LONGEST
-from app.settings import Options
+from app.settings import DECLARED, MOST, Options
 from app.words import OptionError
 
 COURSE_FARTHEST = 2.0 * FARTHEST  # of a waypoint: its place in the mesh plus the mesh's place [m]
@@ -56,14 +57,20 @@ class CourseEntry(Struct):
     points: list[Row]
 
 
-class PlaceEntry(Struct):
-    """A scene."""
+class ShapeEntry(Struct):
+    """A surface."""
 
-    options: dict[str, Any]
     vertices: Size
     triangles: Size
     checksum: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
+
+
+class PlaceEntry(ShapeEntry):
+    """A scene; the surface is that of its mesh."""
+
+    options: dict[str, Any]
     start: Joints
+    structures: Annotated[list[ShapeEntry], Meta(max_length=MOST)] = []
 
 
 class PlantEntry(Struct):
@@ -159,21 +166,36 @@ def packages(head: Head) -> dict[str, str]:
 
 def places(entries: Sequence[PlaceEntry], version: int) -> tuple[Place, ...]:
     """The scenes."""
-    return tuple(
-        Place(_options(e.options, version), e.vertices, e.triangles, e.checksum, np.array(e.start))
-        for e in entries
+    return tuple(_place(entry, version) for entry in entries)
+
+
+def _place(entry: PlaceEntry, version: int) -> Place:
+    options = _options(entry.options, version)
+    if len(entry.structures) != len(options.structures):
+        raise RecordingError(
+            f"{len(entry.structures)} structures in the header, {len(options.structures)} in "
+            "the options"
+        )
+    shapes = tuple(Shape(one.vertices, one.triangles, one.checksum) for one in entry.structures)
+    return Place(
+        options, entry.vertices, entry.triangles, entry.checksum, np.array(entry.start), shapes
     )
 
 
 def plants(
-    entries: Sequence[PlantEntry], places: int, version: int
+    entries: Sequence[PlantEntry], places: Sequence[Place], version: int
 ) -> tuple[tuple[tuple[int, Options], ...], tuple[Course | None, ...]]:
-    """The plants and their courses; `places` is the number of scenes."""
+    """The plants of these scenes and their courses."""
+    found = []
     for entry in entries:
-        if entry.place >= places:
-            raise RecordingError(f"the place of a plant is {entry.place:,}, of {places:,}")
+        if entry.place >= len(places):
+            raise RecordingError(f"the place of a plant is {entry.place:,}, of {len(places):,}")
+        options = _options(entry.options, version)
+        if len(options.structures) != len(places[entry.place].structures):
+            raise RecordingError(f"a plant has {len(options.structures)} structures, not its scene")
+        found.append((entry.place, options))
     return (
-        tuple((entry.place, _options(entry.options, version)) for entry in entries),
+        tuple(found),
         tuple(None if entry.course is None else _course(entry.course) for entry in entries),
     )
 
@@ -208,7 +230,9 @@ def _options(values: dict[str, Any], version: int) -> Options:
         odd = sorted(set(values) ^ set(RECORDED))[0][:40]
         raise RecordingError(f"the options in the header are not those of a session ({odd!a})")
     try:
-        return Options(**{name: plain(value) for name, value in values.items()})
+        return Options(
+            **{name: plain(value, DECLARED[name].kind) for name, value in values.items()}
+        )
     except OptionError as error:
         raise RecordingError(f"an option in the header is not usable: {error}") from None
 

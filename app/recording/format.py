@@ -1,12 +1,13 @@
 """Format of a recording: every order that took effect, every tick, and the state before them.
 
-A file of version 3 is append-only and consists of blocks: wherever the writing ends, all complete
+A file of version 4 is append-only and consists of blocks: wherever the writing ends, all complete
 blocks are readable. It is `MAGIC`, followed by
 
 - one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
 - any number of ``PART``, zlib-compressed: the length of the JSON as a `LENGTH`, the JSON, and the
   columns of two tables one after another. The JSON has the new scenes (options they were built
-  with, the mesh by name, size and SHA-256 of the placed surface, start joints), the new plants
+  with, the mesh by name, size and SHA-256 of the placed surface, the other structures by size and
+  SHA-256 in the order of the options, start joints), the new plants
   (scene, options and a scenario's course; one for every change of a setting), and the number of new
   orders. The tables are the new orders, as `ORDERS`, one row for every `Orders` the engine saw; and
   `ROWS`, one row for every tick, and one for every change of the orders while the loop was paused.
@@ -23,8 +24,8 @@ newer one before the engine read it had no effect and is not in the file. Planes
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
 and checked against ``planes_crc``. Options of the server, such as host and port, are not recorded.
 
-Older versions are still read. Version 2 lacks the options of `ADDED` and is else the same; version
-1 lacks them too, see `archive`.
+Older versions are still read. They lack the options of `ADDED` and the structures, versions 2 and 3
+are else the same; for version 1 see `archive`.
 """
 
 from __future__ import annotations
@@ -43,11 +44,14 @@ from app.options import declared
 from app.settings import Options
 
 FORMAT = "vf-sandbox recording"
-VERSION = 3
-MAGIC = b"vf-sandbox recording 3\n"
-MAGICS = {b"vf-sandbox recording 2\n": 2, MAGIC: VERSION}
+VERSION = 4
+MAGIC = b"vf-sandbox recording 4\n"
+MAGICS = {b"vf-sandbox recording 2\n": 2, b"vf-sandbox recording 3\n": 3, MAGIC: VERSION}
 """The versions of append-only files, by what they begin with; all equally long."""
-ADDED: dict[int, dict[str, object]] = {3: {"guard": "tip", "trocar": 0.0}}
+ADDED: dict[int, dict[str, object]] = {
+    3: {"guard": "tip", "trocar": 0.0},
+    4: {"structures": [], "margin": 0.0, "guarded": True, "colour": None, "opacity": 1.0},
+}
 """By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")
 LENGTH = struct.Struct("<I")
@@ -118,6 +122,20 @@ def chained(crc: int, kind: bytes, rows: int, content: bytes) -> int:
 
 
 @dataclass(frozen=True)
+class Shape:
+    """A surface of a recording, by reference.
+
+    Attributes:
+        vertices, triangles: its size.
+        checksum: `vf.Surface.checksum` of the placed surface.
+    """
+
+    vertices: int
+    triangles: int
+    checksum: str
+
+
+@dataclass(frozen=True)
 class Place:
     """A scene of a recording, by reference.
 
@@ -126,6 +144,7 @@ class Place:
         vertices, triangles: size of its mesh.
         checksum: `vf.Surface.checksum` of the placed mesh.
         start: (n,) joints the tool starts from.
+        structures: the surfaces beside the mesh, in the order of the options.
     """
 
     options: Options
@@ -133,6 +152,7 @@ class Place:
     triangles: int
     checksum: str
     start: NDArray[np.float64]
+    structures: tuple[Shape, ...] = ()
 
 
 @dataclass(frozen=True)

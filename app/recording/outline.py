@@ -21,7 +21,7 @@ class Outline:
     Attributes:
         rows: number of rows.
         ended: whether the file is complete.
-        meshes: the meshes of its scenes, as their options name them.
+        meshes: the files of its scenes' meshes and structures, as their options name them.
     """
 
     rows: int
@@ -60,7 +60,9 @@ def _about(content: bytes) -> object:
 
 def _named(about: object) -> set[str]:
     places = about.get("places", []) if isinstance(about, dict) else []
-    return {str(place["options"]["mesh"]) for place in places}
+    options = [place["options"] for place in places]
+    further = {str(one["file"]) for own in options for one in own.get("structures", ())}
+    return {str(own["mesh"]) for own in options} | further
 
 
 def _archived(path: Path) -> Outline:

@@ -20,7 +20,7 @@ from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
 from app.scene import scene as scenes
-from app.scene import worker
+from app.scene import structures, worker
 from app.scene.scene import Progress, Scene
 from app.settings import Options
 
@@ -76,7 +76,8 @@ def build_scenes(
         same = (
             like is not None
             and as_json(place.options) == as_json(like.options)
-            and place.checksum == like.surface.checksum
+            and [place.checksum, *(one.checksum for one in place.structures)]
+            == [surface.checksum for surface in like.surfaces]
             and place.start.tobytes() == like.start.tobytes()
         )
         if same:
@@ -85,7 +86,9 @@ def build_scenes(
         else:
             work = functools.partial(rerun.build, place, version + k, warm=False)
             arm = robots.load(place.options.robot)
-            built.append(worker.build_scene(work, place.options.mesh, arm, progress, stop))
+            built.append(
+                worker.build_scene(work, structures.files_of(place.options), arm, progress, stop)
+            )
     return tuple(built)
 
 

@@ -30,6 +30,7 @@ from app.recording.format import (
     ORDERS,
     PART,
     ROWS,
+    VERSION,
     Recording,
     RecordingError,
     chained,
@@ -55,7 +56,8 @@ def read(path: Path | str) -> Recording:
                 raise RecordingError("it was cut off before its first tick: there is nothing in it")
             if begins.startswith(FORMAT.encode()):
                 raise RecordingError(
-                    "it is of another version of the format: this program reads versions 1 to 3"
+                    "it is of another version of the format: this program reads versions 1 to "
+                    f"{VERSION}"
                 )
             return archive.read(file)
     except RecordingError as error:
@@ -207,7 +209,7 @@ class _Reader:
         if len(content) - at != due:
             raise RecordingError(f"a part of it has {len(content) - at:,} bytes, not {due:,}")
         self._places += entries.places(about.places, self._version)
-        plants, courses = entries.plants(about.plants, len(self._places), self._version)
+        plants, courses = entries.plants(about.plants, self._places, self._version)
         self._plants += plants
         self._courses += courses
         if len(self._plants) > MAX_PLANTS:

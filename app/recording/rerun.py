@@ -112,7 +112,7 @@ def build(
         warm: as in `scene.build`.
 
     Raises:
-        RecordingError: the mesh, its placement or the start differs.
+        RecordingError: the mesh, a structure, their placement or the start differs.
         ValueError: an unusable mesh, or unknown names.
     """
     options = noted.options
@@ -131,6 +131,18 @@ def build(
             f"the mesh '{shown(options.mesh)}' is not the one that was recorded: "
             f"{len(surface.faces):,} triangles, recorded {noted.triangles:,}; SHA-256 "
             f"{surface.checksum[:12]}…, recorded {noted.checksum[:12]}…"
+        )
+    pairs = zip(scene.options.structures, scene.structures, noted.structures, strict=False)
+    for own, built, shape in pairs:
+        if built.surface.checksum != shape.checksum:
+            raise RecordingError(
+                f"the structure '{own.name}' of '{shown(own.file)}' is not the one that was "
+                f"recorded: {len(built.surface.faces):,} triangles, recorded {shape.triangles:,}; "
+                f"SHA-256 {built.surface.checksum[:12]}…, recorded {shape.checksum[:12]}…"
+            )
+    if len(scene.structures) != len(noted.structures):
+        raise RecordingError(
+            f"the files give {len(scene.structures)} structures, recorded {len(noted.structures)}"
         )
     if scene.start.tobytes() != noted.start.tobytes():
         raise RecordingError(

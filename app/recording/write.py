@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 import meshes
 import vf
+from app import choices
 from app.control.autopilot import Course
 from app.control.engine import Orders, Plant, State
 from app.control.messages import Telemetry
 from app.files import numbered
+from app.options import raw
 from app.recording.format import (
     BLOCK,
     CHUNK,
@@ -43,7 +45,7 @@ from app.recording.format import (
     chained,
 )
 from app.recording.rows import fill
-from app.settings import Options
+from app.settings import Options, split
 
 MAX_PART_PLANTS = 64  # a plant with a course is large
 NAMES = 1000  # number of file names that are tried
@@ -217,10 +219,9 @@ class Recorder:
             self._places.append(
                 {
                     "options": as_json(plant.scene_options),
-                    "vertices": len(plant.surface.vertices),
-                    "triangles": len(plant.surface.faces),
-                    "checksum": plant.surface.checksum,
+                    **_shape(plant.surface),
                     "start": plant.q0.tolist(),
+                    "structures": [_shape(one) for one in plant.structures],
                 }
             )
             self._counts["places"] += 1
@@ -271,12 +272,27 @@ def packages() -> dict[str, str]:
 
 def as_json(options: Options) -> dict[str, Any]:
     """The recorded options; paths of files are absolute."""
-    values = {name: getattr(options, name) for name in RECORDED}
-    if options.mesh not in meshes.catalogue():
-        values["mesh"] = os.path.abspath(options.mesh)
+    values = {name: raw(getattr(options, name)) for name in RECORDED}
+    values["mesh"] = _absolute(options.mesh)
+    for entry in values["structures"]:
+        entry["file"] = _absolute(entry["file"])
     if options.path is not None:
         values["path"] = os.path.abspath(options.path)
     return values
+
+
+def _shape(surface: vf.Surface) -> dict[str, Any]:
+    return {
+        "vertices": len(surface.vertices),
+        "triangles": len(surface.faces),
+        "checksum": surface.checksum,
+    }
+
+
+def _absolute(name: str) -> str:
+    """The path of a mesh; names of the catalogue stay."""
+    known = name in meshes.catalogue() or split(name)[0] in choices.SETS
+    return name if known else os.path.abspath(name)
 
 
 def _create(path: Path) -> tuple[int, Path]:

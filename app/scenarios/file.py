@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from app.choices import FROM_PACKAGES, MESHES
+from app.choices import FROM_PACKAGES, MESHES, NO_MESH, SETS
 from app.kinds import Kind, Maybe, Switch, Text
 from app.options import Checked, declared, option
 from app.scenarios.values import (
@@ -27,7 +27,7 @@ from app.scenarios.values import (
     shown,
     taken,
 )
-from app.settings import Options
+from app.settings import Options, split
 
 FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
@@ -135,8 +135,10 @@ def dumps(scenario: Scenario, folder: Path | None = None) -> str:
     content: dict[str, Any] = {"format": FORMAT}
     for key, kind in _KEYS.items():
         value = getattr(scenario.options if key in SETTINGS else scenario, key)
-        if key in _FILES and value is not None and _is_file(value):
-            value = Path(value).name if folder is None else _relative(key, Path(value), folder)
+        if key in _FILES and value is not None:
+            value = _written(key, value, folder)
+        elif key == "structures":
+            value = tuple(replace(one, file=_written(key, one.file, folder)) for one in value)
         content[key] = kind.to_json(value)
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -172,35 +174,63 @@ _FILES = ("mesh", "path")
 
 def _is_file(name: str) -> bool:
     """Whether a name is a path: catalogue names have neither suffix nor folder."""
-    return Path(name).suffix != "" or len(Path(name).parts) > 1
+    return Path(name).suffix != "" or "/" in name or len(Path(name).parts) > 1
+
+
+def _written(key: str, name: str, folder: Path | None) -> str:
+    """A name as a file in this folder has it: a path relative to it, or without it the last part.
+
+    A label may follow the path.
+    """
+    file, label = (name, None) if key == "path" else split(name)
+    if not _is_file(file):
+        return name
+    path = Path(file)
+    file = path.name if folder is None else _relative(key, path, folder)
+    if path.is_dir():
+        file += "/"  # so that it is no name of the catalogue
+    return file if label is None else f"{file}:{label}"
 
 
 def _placed(
     scenario: Scenario, folder: Path | None, find: Callable[[str], str | None] | None
 ) -> Scenario:
     """The scenario with the paths of its files resolved in `folder`, or by `find`."""
-    found: dict[str, Any] = {}
-    for key in _FILES:
-        name = getattr(scenario.options, key)
-        if name is None:
-            continue
-        if key == "path" or _is_file(name):
-            if find is not None and not Path(name).is_absolute():
-                found[key] = find(name)
-                if found[key] is None:
-                    raise ScenarioError(f'"{key}": {shown(name)} is not known here: bring it first')
-                continue
-            if folder is None and find is None:
-                raise ScenarioError(
-                    f'"{key}": {shown(name)}: there is no file to find this one from'
-                )
-            found[key] = _beside(key, name, folder or Path())
-        elif name not in MESHES and name not in FROM_PACKAGES:
+    options = scenario.options
+    found: dict[str, Any] = {
+        key: _found(key, name, folder, find)
+        for key in _FILES
+        if (name := getattr(options, key)) is not None
+    }
+    found["structures"] = tuple(
+        replace(one, file=_found("structures", one.file, folder, find))
+        for one in options.structures
+    )
+    return replace(scenario, options=replace(options, **found))
+
+
+def _found(
+    key: str, name: str, folder: Path | None, find: Callable[[str], str | None] | None
+) -> str:
+    """The path of a file in `folder`, or by `find`; a name of the catalogue as it is."""
+    file, label = (name, None) if key == "path" else split(name)
+    if key != "path" and not _is_file(file):
+        known = (*MESHES, *FROM_PACKAGES, *SETS, NO_MESH)
+        if file not in known:
             raise ScenarioError(
-                f'"{key}": unknown mesh {shown(name)}: choose one of '
-                f"{', '.join((*MESHES, *FROM_PACKAGES))}, or a file beside the scenario"
+                f'"{key}": unknown mesh {shown(name)}: choose one of {", ".join(known)}, '
+                "or a file beside the scenario"
             )
-    return replace(scenario, options=replace(scenario.options, **found)) if found else scenario
+        return name
+    if find is not None and not Path(file).is_absolute():
+        path = find(file)
+        if path is None:
+            raise ScenarioError(f'"{key}": {shown(name)} is not known here: bring it first')
+    elif folder is None and find is None:
+        raise ScenarioError(f'"{key}": {shown(name)}: there is no file to find this one from')
+    else:
+        path = _beside(key, file, folder or Path())
+    return path if label is None else f"{path}:{label}"
 
 
 def _beside(key: str, name: str, folder: Path) -> str:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from app.scenarios.file import Scenario, ScenarioError, Waypoint, read
 from app.scenarios.values import Viewpoint
-from app.settings import Options
+from app.settings import Options, Structure
 
 
 def find(name_or_path: str) -> Scenario:
@@ -157,8 +157,36 @@ _CORNER_TIP = replace(
     options=replace(_CORNER.options, guard="tip"),
 )
 
+_EAR = Scenario(
+    "temporal-bone",
+    "A burr of 2 mm in a drilled mastoid. The bone is to be cut and not guarded; nerve, ossicles, "
+    "canals, sinus and dura hold the tool at margins of 0.5 to 3 mm.",
+    Options(
+        mesh="temporal-bone:bone", guarded=False, opacity=0.35, tip_radius=1e-3,
+        structures=tuple(
+            Structure("temporal-bone", name, name)
+            for name in (
+                "facial nerve", "chorda tympani", "malleus", "incus", "stapes",
+                "semicircular canals", "sigmoid sinus", "dura",
+            )
+        ),
+    ),
+    (
+        _at(1.5, -2, 0, 12),
+        _at(2.5, -2, -3, 2),
+        _at(4.0, -2, -9, -6),
+        _at(5.0, 0, -2, 2),
+        _at(6.5, 4, 5, -5),
+        _at(7.5, 0, 2, 6),
+        _at(9.0, -16, 3, 4),
+        _at(10.0, -2, 4, 8),
+        _at(11.5, 0, 20, 6),
+    ),
+    camera="anatomy",
+)  # fmt: skip
+
 _ALL = (
     _PUSH, _ORBIT, _PLATE, _GEAR, _SADDLE, _UNCLEAN, _HELD, _MILLION, _FONTANELLE, _KEYHOLE,
-    _CORNER, _CORNER_TIP,
+    _CORNER, _CORNER_TIP, _EAR,
 )  # fmt: skip
 PRESETS: Mapping[str, Scenario] = MappingProxyType({one.name: one for one in _ALL})

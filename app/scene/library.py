@@ -18,8 +18,8 @@ import platformdirs
 
 import meshes
 from app.files import numbered, size
-from app.options import plain
-from app.settings import MESH, Options
+from app.options import plain, raw
+from app.settings import DECLARED, MESH, Options
 
 MOST = 100  # number of files
 ROOM = 4e9  # total size, so that uploads cannot fill the disk [byte]
@@ -89,19 +89,26 @@ class Library:
         with contextlib.suppress(OSError, ValueError):
             note = json.loads((path.parent / NOTE).read_bytes())
             if isinstance(note, dict):
-                known = {k: plain(v) for k, v in note.items() if k in MESH and k != "mesh"}
+                known = {
+                    key: plain(value, DECLARED[key].kind)
+                    for key, value in note.items()
+                    if key in MESH and key != "mesh"
+                }
                 Options(**known)  # raises if one is invalid
                 found |= known
         return found
 
     def find(self, name: str) -> str | None:
-        """The path of the mesh or planned path of this name; None: unknown name."""
+        """The path of the mesh, structure or planned path of this name; None: unknown name."""
         found = self.settings(name)
         if found is not None:
             return str(found["mesh"])
         for how in self._used.values():
             if how["path"] is not None and Path(how["path"]).name == name:
                 return str(how["path"])
+            for one in how["structures"]:
+                if Path(one.file).name == name:
+                    return str(one.file)
         return None
 
     def note(self, options: Options) -> None:
@@ -113,7 +120,7 @@ class Library:
         self._used[name] = how
         if Path(options.mesh) == self._place / name / name:
             with contextlib.suppress(OSError, TypeError):
-                about = {key: value for key, value in how.items() if key != "mesh"}
+                about = {key: raw(value) for key, value in how.items() if key != "mesh"}
                 new = self._place / name / f".{NOTE}"
                 new.write_text(json.dumps(about))
                 new.replace(self._place / name / NOTE)  # atomic

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import meshes
-from app.scene.scene import caught_warnings
+from app.scene.caught import caught_warnings
 from meshes.load import read
 from meshes.units import UNITS, UnitNeeded, WrongSize, diagonal, sizes
 

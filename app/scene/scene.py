@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import threading
-import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +15,16 @@ from numpy.typing import NDArray
 import meshes
 import robots
 import vf
+from app import choices
 from app.control.autopilot import Script, plan
 from app.control.engine import Plant, is_free
 from app.control.plant import Description, assemble, clearance, corridor
 from app.judges import boxes, meeting
 from app.judges.nearest import gaps
+from app.scene import structures
+from app.scene.caught import caught_warnings
 from app.scene.outside import shows_fronts_only
+from app.scene.structures import Arrays, Built
 from app.settings import Options
 from meshes.builtin.damage import damage
 from robots import Arm
@@ -41,6 +43,7 @@ class Scene:
         version: increases with every change of mesh or robot; `Telemetry.scene` refers to it.
         mesh_name: catalogue name, or the file's name.
         surface: the full mesh that the controller uses, arm base frame.
+        structures: those beside the mesh, in the order of their settings in the options.
         T_base_mesh: (4, 4) pose of the mesh's own frame in the arm's base frame.
         planned_path: (k, 3) the planned cut on this mesh, arm base frame [m]; None: there is none.
         vertices_shown, faces_shown: the mesh that is drawn, which may be decimated.
@@ -52,7 +55,7 @@ class Scene:
         start: (n,) start and reset joints, with the tip in free space.
         T_base_start: the tip at `start`.
         autopilot: the scripted tour over this mesh.
-        options: the settings it was built with.
+        options: the settings it was built with, with an entry for each structure.
     """
 
     version: int
@@ -71,6 +74,12 @@ class Scene:
     T_base_start: pin.SE3
     autopilot: Script
     options: Options
+    structures: tuple[Built, ...] = ()
+
+    @property
+    def surfaces(self) -> tuple[vf.Surface, ...]:
+        """Those of all structures, the mesh first, in the order of `Options.anatomy`."""
+        return self.surface, *(one.surface for one in self.structures)
 
 
 def build(
@@ -93,7 +102,8 @@ def build(
     arm = robots.load(options.robot)
     T_base_tip = arm.tip(arm.neutral)
 
-    vertices, faces, T_base_mesh, notes = anatomy(options, T_base_tip, say)
+    options, mesh, further = structures.read(options, say)
+    vertices, faces, T_base_mesh, notes, frame = anatomy(options, T_base_tip, say, mesh)
 
     if warm:
         say("preparing the kernels (the first start compiles them: up to a minute)")
@@ -105,6 +115,15 @@ def build(
             "The mesh is not closed or not consistently wound: "
             "it has no inside, so it is guarded from both sides."
         )
+
+    names = [str(one.name) for one in options.structures]
+    placed = [
+        structures.placed(one, name, frame, T_base_mesh, options)
+        for one, name in zip(further, names, strict=True)
+    ]
+    built = structures.build(placed, names, say)
+    if open_ones := [n for n, one in zip(names, built, strict=True) if not one.surface.closed]:
+        notes.append(f"Not closed, so guarded from both sides: {', '.join(open_ones)}.")
 
     path = _planned_path(options, T_base_mesh)
     if path is not None:
@@ -121,12 +140,18 @@ def build(
         )
 
     say("finding a free start for the tool")
+    further_ones = [
+        (one.surface, own.margin or 0.0) for one, own in zip(built, options.structures, strict=True)
+    ]
+    find = partial(
+        free_start, arm, surface, clearance(options), margin=options.margin, further=further_ones
+    )
     try:
-        start = free_start(arm, surface, clearance(options), options)
+        start = find(options=options)
     except ValueError:
         if not options.guards_tool:
             raise
-        start = free_start(arm, surface, clearance(options))
+        start = find()
         notes.append("No start was found at which all of the instrument is clear of the mesh.")
     T_base_start = arm.tip(start)
     return Scene(
@@ -146,28 +171,29 @@ def build(
         T_base_start=T_base_start,
         autopilot=plan(surface, T_base_start),
         options=options,
+        structures=built,
     )
 
 
 def anatomy(
-    options: Options, T_base_tip: pin.SE3, progress: Progress
-) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str]]:
+    options: Options, T_base_tip: pin.SE3, progress: Progress, own: meshes.Structure | None = None
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray, list[str], str | None]:
     """Load, damage, repair and place the mesh as these options say.
 
+    Args:
+        own: the mesh, as `structures.read` read it from a file of several; None: load it.
+
     Returns:
-        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), and
-        notes for the user, one sentence each.
+        Vertices (n, 3) [m] in the arm's base frame, faces (m, 3), ``T_base_mesh`` (4, 4), notes for
+        the user, one sentence each, and the patient frame, None if it is not known.
 
     Raises:
         ValueError: unusable mesh or placement, with the reason.
     """
-    with caught_warnings() as caught:
-        found = meshes.read(options.mesh, unit=options.unit, frame=options.frame, progress=progress)
-    mesh = found.arrays
-    notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
-    notes += found.notes
-    if options.mesh not in meshes.catalogue():
-        notes.append(f"Patient frame: {meshes.frame_description(found.frame)}.")
+    if own is None:
+        mesh, notes, frame = _loaded(options, progress)
+    else:
+        mesh, notes, frame = (own.vertices, own.faces), [], own.frame
     if options.damage != "none":
         mesh = damage(options.damage, mesh, options.seed)
         notes.append(f"Damaged on purpose: {options.damage}, seed {options.seed}.")
@@ -186,7 +212,18 @@ def anatomy(
     vertices, faces = mesh
     placement = meshes.Placement(options.at, options.rotate, options.up)
     T_base_mesh = placement.pose(vertices, T_base_tip)
-    return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes
+    return meshes.transformed(T_base_mesh, vertices), faces, T_base_mesh, notes, frame
+
+
+def _loaded(options: Options, progress: Progress) -> tuple[Arrays, list[str], str | None]:
+    """The mesh as its file has it, notes for the user, and its patient frame."""
+    with caught_warnings() as caught:
+        found = meshes.read(options.mesh, unit=options.unit, frame=options.frame, progress=progress)
+    notes = [str(w.message) for w in caught if issubclass(w.category, meshes.UnitGuess)]
+    notes += found.notes
+    if options.mesh not in meshes.catalogue():
+        notes.append(f"Patient frame: {meshes.frame_description(found.frame)}.")
+    return found.arrays, notes, found.frame
 
 
 def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | None:
@@ -202,11 +239,12 @@ def _planned_path(options: Options, T_base_mesh: FloatArray) -> FloatArray | Non
 
 
 def plant(scene: Scene, options: Options) -> Plant:
-    """The plant of this scene with these settings; takes milliseconds.
+    """The plant of this scene with these settings, see `settled`; takes milliseconds.
 
     Raises:
         ValueError: a corridor wider than the bends of its path allow.
     """
+    options = settled(options, scene)
     description = Description(
         robot=scene.arm.name,
         q0=scene.start,
@@ -216,8 +254,29 @@ def plant(scene: Scene, options: Options) -> Plant:
         autopilot=scene.autopilot,
         options=options,
         scene_options=scene.options,
+        structures=tuple(one.surface for one in scene.structures),
     )
     return assemble(description, scene.arm.copy())
+
+
+def settled(options: Options, scene: Scene) -> Options:
+    """The options in a scene: with an entry for each of its structures, and the mesh it has."""
+    built = scene.options
+    if options.mesh == choices.NO_MESH:  # the first structure is the mesh
+        taken = ("mesh", "unit", "margin", "guarded", "colour", "opacity", "structures")
+        return replace(options, **{name: getattr(built, name) for name in taken})
+    if [one.source for one in options.structures] != [one.source for one in built.structures]:
+        return replace(options, structures=built.structures)
+    filled = [
+        replace(
+            own,
+            name=own.name or found.name,
+            colour=own.colour or found.colour,
+            margin=found.margin if own.margin is None else own.margin,
+        )
+        for own, found in zip(options.structures, built.structures, strict=True)
+    ]
+    return replace(options, structures=tuple(filled))
 
 
 @cache
@@ -228,7 +287,12 @@ def warm_up() -> None:
 
 
 def free_start(
-    arm: Arm, surface: vf.Surface, clearance: float, options: Options | None = None
+    arm: Arm,
+    surface: vf.Surface,
+    clearance: float,
+    options: Options | None = None,
+    margin: float = 0.0,
+    further: Sequence[tuple[vf.Surface, float]] = (),
 ) -> FloatArray:
     """Joints (n,) with the tip outside the anatomy and farther than `clearance` [m] from it.
 
@@ -236,17 +300,26 @@ def free_start(
 
     Args:
         options: if they guard the whole tool, all of it keeps their standoff; None: its tip alone.
+        margin: added to both [m].
+        further: other surfaces to be clear of, each with its own margin [m].
 
     Raises:
         ValueError: no such position within the arm's reach was found.
     """
+    around = ((surface, margin), *further)
+
+    def clear(p_base: FloatArray) -> bool:
+        return all(is_free(one, p_base, clearance + more) for one, more in around)
 
     def free(q: FloatArray) -> bool:
-        if not is_free(surface, arm.tip(q).translation, clearance):
+        if not clear(arm.tip(q).translation):
             return False
         if options is None or not options.guards_tool:
             return True
-        return bool(gaps(boxes.of(surface), arm, q, options.trocar).min() > options.standoff)
+        return all(
+            gaps(boxes.of(one), arm, q, options.trocar).min() > options.standoff + more
+            for one, more in around
+        )
 
     neutral = arm.tip(arm.neutral)
     q = np.array(arm.neutral)
@@ -254,7 +327,7 @@ def free_start(
         return q
     for displacement in _displacements(surface.size):
         pose = pin.SE3(neutral.rotation, neutral.translation + displacement)
-        if not is_free(surface, pose.translation, clearance):
+        if not clear(pose.translation):
             continue
         try:
             q = arm.inverse(pose, start=arm.neutral)
@@ -276,25 +349,6 @@ def _displacements(size: float) -> Iterator[FloatArray]:
     for distance in np.geomspace(1e-3, max(2.0 * size, 2e-3), 24):
         for direction in directions:
             yield distance * direction / np.linalg.norm(direction)
-
-
-class caught_warnings:
-    """Collects warnings, by one thread at a time: `warnings.catch_warnings` is not thread-safe."""
-
-    _lock = threading.Lock()
-
-    def __enter__(self) -> list[warnings.WarningMessage]:
-        self._lock.acquire()
-        self._catcher = warnings.catch_warnings(record=True)
-        caught = self._catcher.__enter__()
-        warnings.simplefilter("always", UserWarning)
-        return caught
-
-    def __exit__(self, *error: Any) -> None:
-        try:
-            self._catcher.__exit__(*error)
-        finally:
-            self._lock.release()
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

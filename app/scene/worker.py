@@ -24,7 +24,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -33,13 +33,16 @@ from typing import IO, Any
 import numpy as np
 
 import meshes
+from app import choices
 from app.scene import scene as scenes
+from app.scene import structures
 from app.scene.scene import Progress, Scene
 from app.settings import Options
 from meshes.builtin import shapes
 from robots import Arm
 
 LIGHT = 500_000  # largest file that is read and indexed in milliseconds [byte]
+MOST_LIGHT = 3  # files that are read here; more take longer than a process starts
 _LIGHT_KINDS = (".stl", ".ply", ".off")  # uncompressed formats without references
 _STOPPED = "stopped: nothing is changed"
 _PIPE = 1 << 20  # size of the pipe's buffer [byte]
@@ -63,18 +66,20 @@ class Allowance:
     memory: float
 
 
-def allowance(mesh: str) -> Allowance:
-    """Several times the need of any mesh file of this size, or of any mesh of the catalogue.
+def allowance(*names: str) -> Allowance:
+    """Several times the need of any mesh files of this size, or of any meshes of the catalogue.
 
     The memory is at most three quarters of the machine's available memory.
     """
-    known = mesh in meshes.catalogue()
-    try:
-        size = 0 if known else Path(mesh).stat().st_size
-    except (OSError, ValueError):
-        size = 0  # reading the file raises the error
-    seconds = 300.0 if known else 60.0 + 2e-6 * size
-    return Allowance(seconds, min(3e9 + 20.0 * size, 0.75 * _available_memory()))
+    seconds, size = 0.0, 0
+    for name in names:
+        if name in meshes.catalogue() or name in choices.SETS:
+            seconds += 300.0
+            continue
+        seconds += 60.0
+        with contextlib.suppress(OSError, ValueError):  # reading the file raises the error
+            size += Path(name).stat().st_size
+    return Allowance(seconds + 2e-6 * size, min(3e9 + 20.0 * size, 0.75 * _available_memory()))
 
 
 class Stop:
@@ -111,7 +116,7 @@ def build(
     progress: Progress | None = None,
     stop: Stop | None = None,
 ) -> Scene:
-    """`scene.build` in a separate process, or in this one for a light mesh.
+    """`scene.build` in a separate process, or in this one for light meshes.
 
     Args:
         arm: the scene's arm, for the view's thread; of the name in `options`.
@@ -122,23 +127,26 @@ def build(
         ValueError: what `scene.build` raises, `Ended` and `Stopped`.
     """
     work = functools.partial(scenes.build, options, version, warm=False)
-    return build_scene(work, options.mesh, arm, progress, stop)
+    return build_scene(work, structures.files_of(options), arm, progress, stop)
 
 
 def build_scene(
     work: Callable[..., Scene],
-    mesh: str,
+    files: Sequence[str],
     arm: Arm,
     progress: Progress | None = None,
     stop: Stop | None = None,
 ) -> Scene:
-    """The scene that ``work(progress=…)`` builds, by `run`, or in this process for a light mesh.
+    """The scene that ``work(progress=…)`` builds, by `run`, or in this process for light meshes.
+
+    Args:
+        files: those that it reads, as `structures.files_of` names them.
 
     Raises:
         ValueError: what the work raises, `Ended` and `Stopped`.
     """
-    if not light(mesh):
-        scene: Scene = run(work, allowance(mesh), progress, stop, arm)
+    if len(files) > MOST_LIGHT or not all(map(light, files)):
+        scene: Scene = run(work, allowance(*files), progress, stop, arm)
         return scene
     scene = work(progress=progress)
     if stop is not None and stop.asked:
@@ -226,8 +234,9 @@ def _reason(code: int, allowed: Allowance, late: bool) -> str:
             f"the work on the mesh took more than {allowed.seconds:.0f} s of processor time, many "
             "times what a mesh file of this size needs: is it what it says it is?"
         )
+    ending = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
     return (
-        f"the process that works on the mesh ended ({_ending(code)}): is there memory for it? "
+        f"the process that works on the mesh ended ({ending}): is there memory for it? "
         f"It may have {allowed.memory / 1e9:.2g} GB"
     )
 
@@ -235,6 +244,8 @@ def _reason(code: int, allowed: Allowance, late: bool) -> str:
 def light(mesh: str) -> bool:
     """Whether a mesh is made or read faster than a process starts, in a few milliseconds."""
     entry = meshes.catalogue().get(mesh)
+    if mesh in choices.SETS:
+        return False
     if entry is not None:
         return entry.make.__module__ == shapes.__name__
     path = Path(mesh)
@@ -298,10 +309,6 @@ def _exactly(stream: IO[bytes], size: int) -> memoryview:
     if stream.readinto(buffer) != size:  # type: ignore[attr-defined]
         raise EOFError
     return buffer
-
-
-def _ending(code: int) -> str:
-    return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
 
 
 def _available_memory() -> float:

@@ -13,6 +13,7 @@ from app.view.clients.cameras import Cameras
 from app.view.clients.client_input import ClientInput, Notify
 from app.view.clients.escape import EscapeKey
 from app.view.clients.uploads import Uploads
+from app.view.drawing.anatomy import Anatomy
 from app.view.drawing.fixture import FixtureDrawing
 from app.view.drawing.labels import Labels
 from app.view.drawing.proxy import Proxy
@@ -38,6 +39,7 @@ class PageContext:
         labels: the texts in the scene.
         library: the mesh files that can be chosen.
         uploads: receives the files of upload buttons.
+        anatomy: the drawn structures, with a switch of each.
         scenario: what the page was started with, if anything.
     """
 
@@ -54,4 +56,5 @@ class PageContext:
     labels: Labels
     library: Library
     uploads: Uploads
+    anatomy: Anatomy
     scenario: Scenario | None = None

@@ -69,4 +69,16 @@
     set.call(event.target, entered[1]);
     event.target.dispatchEvent(new Event("input", { bubbles: true }));
   });
+
+  // A button in the page's own HTML gives its order through the text field behind that HTML, which is
+  // hidden: viser's HTML has no events of its own.
+  addEventListener("click", (event) => {
+    const button = event.target instanceof Element ? event.target.closest("[data-vf-order]") : null;
+    const field = button?.closest(".vf-orders")?.parentElement?.nextElementSibling;
+    const input = field?.querySelector("input");
+    if (!input) return;
+    const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+    set.call(input, `${button.dataset.vfOrder} ${Date.now()}`);
+    input.dispatchEvent(new Event("input", { bubbles: true }));
+  });
 })();

@@ -138,6 +138,7 @@ class Page:
             self._labels,
             library,
             Uploads(server, self._notify),
+            self._anatomy,
             scenario,
         )
         # They are called in this order.

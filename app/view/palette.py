@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
+from app.settings import Structure
 
 Rgb = tuple[int, int, int]
 
@@ -122,6 +123,24 @@ SOLVER_HELP: dict[vf.Solver, str] = {
     vf.Solver.INFEASIBLE: "no step allowed",
     vf.Solver.IDLE: "not asked",
 }
+
+
+# Of structures beside the mesh whose files say no colour, in turn.
+STRUCTURES: tuple[Rgb, ...] = (
+    (240, 228, 66), (86, 180, 233), (204, 121, 167), (0, 158, 115), (230, 159, 0), (213, 94, 0),
+    (150, 140, 210), (160, 110, 70),
+)  # fmt: skip
+
+
+def structure_colour(own: Structure, number: int) -> Rgb:
+    """The colour of a structure; number 0 is the mesh, others follow in the order of the options.
+
+    One that the options name, else bone for the mesh and one of `STRUCTURES`.
+    """
+    if own.colour is not None:
+        red, green, blue = bytes.fromhex(own.colour[1:])
+        return red, green, blue
+    return BONE if number == 0 else STRUCTURES[(number - 1) % len(STRUCTURES)]
 
 
 def tinted(color: Rgb, strength: float) -> Rgb:

@@ -54,6 +54,27 @@ _PLOTS = """
 
 """
 
+# The list of structures, and the hidden text field behind it that takes its orders.
+_STRUCTURES = """
+div:has(> .vf-orders) + * { display: none !important; }
+.vf-structures { width: calc(100% - 1.5em); margin: 0 .75em .4em; border-collapse: collapse;
+  table-layout: fixed; font-size: 12px; line-height: 19px; color: var(--vf-ink);
+  font-variant-numeric: tabular-nums; }
+.vf-structures td, .vf-structures th { padding: 0 2px; white-space: nowrap; overflow: hidden;
+  text-overflow: ellipsis; text-align: right; font-weight: normal; }
+.vf-structures th { color: var(--vf-faint); font-size: 11px; }
+.vf-structures .vf-name { text-align: left; }
+.vf-structures button { all: unset; cursor: pointer; width: 100%; overflow: hidden;
+  text-overflow: ellipsis; display: block; }
+.vf-structures button:focus-visible { outline: 2px solid var(--vf-soft); outline-offset: -2px; }
+.vf-structures .vf-off { color: var(--vf-faint); }
+.vf-structures .vf-chosen td { background: var(--vf-plate); }
+.vf-structures .vf-chosen .vf-name { font-weight: 600; }
+.vf-swatch { display: inline-block; width: 10px; height: 10px; margin-right: 4px;
+  border-radius: 2px; border: 1px solid var(--vf-faint); vertical-align: -1px; }
+@media (pointer: coarse) { .vf-structures { line-height: 30px; } }
+"""
+
 _HELP = """
 .vf-help { font-size: 13.5px; line-height: 1.45; margin: 0; padding: 0 0 0 1.3em; }
 .vf-help li { margin-bottom: 5px; }
@@ -64,7 +85,7 @@ _HELP = """
 
 def sheet() -> str:
     """The style sheet as an HTML element."""
-    return f"<style>{_COLOURS}{_DARK}{_PHONE}{_TABS}{_PLOTS}{_HELP}</style>"
+    return f"<style>{_COLOURS}{_DARK}{_PHONE}{_TABS}{_PLOTS}{_STRUCTURES}{_HELP}</style>"
 
 
 def set_theme(gui: viser.GuiApi, dark: bool) -> None:

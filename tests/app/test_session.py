@@ -262,7 +262,7 @@ def test_settings_change_while_running_and_are_clamped(session: Session) -> None
         with pytest.raises(Refused, match=f"{name} must be a number"):
             session.set(**{name: "1"})
     for name in ("mesh", "robot", "rate", "host", "nothing"):
-        with pytest.raises(Refused, match=f"{name} is none of what is set live: corridor, rule"):
+        with pytest.raises(Refused, match=f"{name} is none of what is set live: corridor, margin"):
             session.set(**{name: 1})
     assert session.options == Options(
         mesh="cube", robot="point", radius=None, standoff=1e-3, tip_radius=2e-3, scale=0.05,

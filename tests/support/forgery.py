@@ -19,8 +19,12 @@ import numpy as np
 from app.recording.format import ORDERS, ROWS
 from app.recording.read import read
 
-MAGIC = b"vf-sandbox recording 3\n"
-LATER = ("guard", "trocar")  # options that versions before 3 do not have
+MAGIC = b"vf-sandbox recording 4\n"
+# By version: the options that those before it do not have.
+LATER = {
+    3: ("guard", "trocar"),
+    4: ("structures", "margin", "guarded", "colour", "opacity"),
+}
 Change = Callable[[dict[str, Any], dict[str, bytes]], None]
 
 
@@ -64,7 +68,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def forged(
-    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 3
+    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 4
 ) -> Path:
     """A copy of a recording with its header and columns changed, in this version."""
     recording = read(sound)
@@ -78,10 +82,14 @@ def forged(
             about, _ = unpack(content)
             header["places"] += about["places"]
             header["plants"] += about["plants"]
-    if version < 3:
+    for since, names in LATER.items():
         for entry in header["places"] + header["plants"]:
-            for name in LATER:
-                del entry["options"][name]
+            for name in names:
+                if version < since:
+                    del entry["options"][name]
+    for entry in header["places"]:
+        if version < 4:
+            del entry["structures"]
     members = {f"orders/{n}.npy": npy(recording.orders[n]) for n in ORDERS.names or ()}
     members |= {f"rows/00000/{n}.npy": npy(recording.rows[n]) for n in ROWS.names or ()}
     change(header, members)
@@ -103,7 +111,7 @@ def forged(
                 (b"PART", n, pack(about, tables)),
                 (b"LAST", n, end),
             ],
-            MAGIC.replace(b"3", b"%d" % version),
+            MAGIC.replace(b"4", b"%d" % version),
         )
     )
     return path

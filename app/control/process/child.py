@@ -92,7 +92,7 @@ class Child:
         self._channel = channel
         self._inbox = Inbox(Slot(memory.data[: Slot.SIZE]))
         self._queue = Queue(memory.data[Slot.SIZE :])
-        self._surface: vf.Surface | None = None
+        self._surfaces: list[vf.Surface] = []  # those of the newest plant
         self._loop: ControlLoop | None = None
         self._told: str = ""  # why to end
 
@@ -130,17 +130,17 @@ class Child:
             vf.Controller(robots.load("point"), [])  # compiles the kernels, or loads them
         elif kind == "surface":
             assert fd is not None
-            self._surface = surfaces.attach(fd, *rest)
+            place, *shared = rest
+            self._surfaces = [*self._surfaces[:place], surfaces.attach(fd, *shared)]
         elif kind == "plant":
             self._build(*rest)
         elif kind == "start":
             self._start(*rest)
 
     def _build(self, number: int, data: bytes) -> None:
-        assert self._surface is not None
         try:
             with Gaps(self._loop):
-                description = surfaces.unpack(data, self._surface)
+                description = surfaces.unpack(data, self._surfaces)
                 plant = assemble(description, robots.load(description.robot))
         except Exception as error:
             log.exception("a plant could not be built")

@@ -6,6 +6,7 @@ import contextlib
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 
 import vf
 from app.control.process import surfaces
@@ -30,8 +31,8 @@ class Child:
         size = Slot.SIZE + Queue.HEAD + ROOM
         self.memory: Memory = Memory.create(size) if before is None else before.memory
         memory = self.memory
-        # The surface of the newest plant, with the shared memory that has its arrays.
-        self.shared: tuple[vf.Surface, surfaces.Shared] | None = None
+        # The surfaces of the newest plant, each with the shared memory that has its arrays.
+        self.shared: list[tuple[vf.Surface, surfaces.Shared]] = []
         if before is not None:
             self.shared = before.shared
         self.channel, theirs = Channel.pair()
@@ -53,7 +54,7 @@ class Child:
             theirs.close()
         self.ending = ""  # why it is about to end
         self.thread: int | None = None  # number of its control thread
-        self.has: surfaces.Shared | None = None  # the surface it was given last
+        self.has: list[surfaces.Shared] = []  # the surfaces it was given last
         self.built = 0  # number of the newest plant it has
         self.failed: dict[int, str] = {}  # why plants could not be built, by number
 
@@ -62,25 +63,38 @@ class Child:
         with contextlib.suppress(OSError):
             self.channel.send("warm")
 
-    def share(self, surface: vf.Surface) -> surfaces.Shared:
-        """The surface in shared memory, which it uses itself from then on.
+    def share(self, wanted: Sequence[vf.Surface]) -> list[surfaces.Shared]:
+        """The surfaces in shared memory, which they use themselves from then on.
 
         Raises:
-            OSError: there is no memory for it.
+            OSError: there is no memory for them.
         """
-        if self.shared is None or self.shared[0] is not surface:
-            before, self.shared = self.shared, (surface, surfaces.share(surface))
-            if before is not None:
-                before[1].memory.forget()
-        return self.shared[1]
+        known = {id(surface): shared for surface, shared in self.shared}
+        made: list[tuple[vf.Surface, surfaces.Shared]] = []
+        try:
+            for surface in wanted:
+                shared = known.get(id(surface)) or surfaces.share(surface)
+                made.append((surface, shared))
+        except BaseException:
+            # Those that are new are forgotten; they work on with what they have.
+            for surface, shared in made:
+                if id(surface) not in known:
+                    shared.memory.forget()
+            raise
+        kept = {id(surface) for surface in wanted}
+        for surface, shared in self.shared:
+            if id(surface) not in kept:
+                shared.memory.forget()
+        self.shared = made
+        return [shared for _, shared in made]
 
     def leave(self) -> None:
         """End it for good, and close what there is of shared memory."""
         self.end()
         self.channel.close()
         self.memory.forget()
-        if self.shared is not None:
-            self.shared[1].memory.forget()
+        for _, shared in self.shared:
+            shared.memory.forget()
 
     def end(self) -> str:
         """Have it end, by force if it does not; returns why it ended if nobody told it to."""

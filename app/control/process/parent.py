@@ -12,7 +12,7 @@ import logging
 import select
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import vf
@@ -145,8 +145,8 @@ class ControlProcess(Host):
         thread = self._child.thread
         return None if thread is None else (self._child.process.pid, thread)
 
-    def share(self, surface: vf.Surface) -> None:
-        self._child.share(surface)
+    def share(self, surfaces: Sequence[vf.Surface]) -> None:
+        self._child.share(surfaces)
 
     def start(self) -> None:
         """Start the loop, and wait for its first tick.
@@ -232,12 +232,13 @@ class ControlProcess(Host):
         except Exception as error:
             raise Refused(f"what the control process cannot be given: {error}") from None
         try:
-            shared = child.share(plant.surface)
+            shared = child.share(plant.surfaces)
         except OSError as error:
             raise Refused(f"no shared memory for the mesh: {error}") from None
         with contextlib.suppress(OSError):  # the process ended: its orders wait
-            if child.has is not shared:
-                child.channel.send("surface", shared.pickled, shared.places, fd=shared.memory.fd)
+            if child.has != shared:
+                for place, one in enumerate(shared):
+                    child.channel.send("surface", place, one.pickled, one.places, fd=one.memory.fd)
                 child.has = shared
             child.channel.send("plant", number, data)
         if self._running:

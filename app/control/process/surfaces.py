@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import pickle
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -82,34 +83,38 @@ def _populate(data: memoryview) -> None:
 
 
 class _Pickler(pickle.Pickler):
-    """Leaves surfaces out: the other process has them."""
+    """Leaves surfaces out, but for their place in a list: the other process has them."""
 
-    def persistent_id(self, obj: Any) -> str | None:
-        return "surface" if isinstance(obj, vf.Surface) else None
+    def __init__(self, file: BytesIO, surfaces: Sequence[vf.Surface]) -> None:
+        super().__init__(file, protocol=5)
+        self._places = {id(surface): k for k, surface in enumerate(surfaces)}
+
+    def persistent_id(self, obj: Any) -> int | None:
+        return self._places[id(obj)] if isinstance(obj, vf.Surface) else None
 
 
 class _Unpickler(pickle.Unpickler):
-    def __init__(self, data: bytes, surface: vf.Surface) -> None:
+    def __init__(self, data: bytes, surfaces: Sequence[vf.Surface]) -> None:
         super().__init__(BytesIO(data))
-        self._surface = surface
+        self._surfaces = surfaces
 
-    def persistent_load(self, _pid: str) -> vf.Surface:
-        return self._surface
+    def persistent_load(self, place: int) -> vf.Surface:
+        return self._surfaces[place]
 
 
 def pack(description: Description) -> bytes:
-    """A description without its surface.
+    """A description without its surfaces.
 
     Raises:
         Exception: a script that cannot be pickled.
     """
     data = BytesIO()
-    _Pickler(data, protocol=5).dump(description)
+    _Pickler(data, description.surfaces).dump(description)
     return data.getvalue()
 
 
-def unpack(data: bytes, surface: vf.Surface) -> Description:
-    """The description of `pack`, with this surface."""
-    description = _Unpickler(data, surface).load()
+def unpack(data: bytes, surfaces: Sequence[vf.Surface]) -> Description:
+    """The description of `pack`, with these surfaces, in the order of `Description.surfaces`."""
+    description = _Unpickler(data, surfaces).load()
     assert isinstance(description, Description)
     return description

@@ -1,99 +1,171 @@
-"""Layer: the anatomical mesh."""
+"""Layer: the anatomy, the mesh and the structures beside it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
+import vf
 from app.judges.meeting import sees
 from app.recording.playback import Moment
 from app.scene.scene import Scene
+from app.settings import Structure
 from app.view import palette
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
-HOLD = 1.0  # the mesh stays translucent so long after it last hid the tip [s]
+HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
+TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
+
+
+class _Drawn:
+    """One structure: its node, and what decides how it is drawn."""
+
+    def __init__(self, surface: vf.Surface, color: palette.Rgb, opacity: float) -> None:
+        self.surface = surface
+        self.mesh: viser.MeshHandle | None = None
+        self.color, self.opacity = color, opacity
+        self.visible = True  # by its own switch
+        self.hidden_at = -np.inf  # monotonic time when it last hid the tip [s]
+        self.whole = True  # not cut
+
+    def hides(self, eyes: Sequence[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> bool:
+        return self.whole and any(
+            np.isfinite(eye).all() and not sees(self.surface, eye / VIEW_SCALE, p_tip)
+            for eye in eyes
+        )
 
 
 class Anatomy(Part):
-    """The drawn mesh (possibly decimated), opaque or translucent."""
+    """The drawn meshes (possibly decimated), opaque or translucent."""
 
     def __init__(self, api: viser.SceneApi) -> None:
         self._api = api
         self._scene: Scene | None = None
-        self._mesh: viser.MeshHandle | None = None
+        self._drawn: list[_Drawn] = []
         self._visible = True
         self._translucent = False  # by the layer switch
-        self._hidden_at = -np.inf  # monotonic time when it last hid the tip [s]
-        self._whole = True  # not cut
+        self._turn = 0
 
     def set_scene(self, scene: Scene) -> None:
+        for drawn in self._drawn[1:]:
+            if drawn.mesh is not None:
+                drawn.mesh.remove()
+        looks = enumerate(zip(scene.options.anatomy, scene.surfaces, strict=True))
+        same = self._scene is not None and _sources(self._scene) == _sources(scene)
+        switches = [drawn.visible for drawn in self._drawn]
         self._scene = scene
-        self._hidden_at = -np.inf
+        self._drawn = [
+            _Drawn(surface, palette.structure_colour(own, k), own.opacity)
+            for k, (own, surface) in looks
+        ]
+        if same:  # another arm, another place
+            for drawn, visible in zip(self._drawn, switches, strict=True):
+                drawn.visible = visible
         self.cut(None)
+        for k, (drawn, built) in enumerate(zip(self._drawn[1:], scene.structures, strict=True), 1):
+            drawn.mesh = self._add(
+                f"/anatomy/structure{k}", drawn, built.vertices_shown, built.faces_shown,
+                built.fronts_only,
+            )  # fmt: skip
 
     def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
         """Draw this part of the mesh, vertices (n, 3) [m] and faces (m, 3); None: all of it."""
         scene = self._scene
         if scene is None:
             return
-        self._whole = part is None
+        drawn = self._drawn[0]
+        drawn.whole = part is None
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
-        # Without a graphics card the back faces take a third of the rendering time.
-        fronts_only = scene.fronts_only and part is None
-        self._mesh = self._api.add_mesh_simple(
-            "/anatomy/mesh",
-            vertices=to_buffer(vertices),
-            faces=faces.astype(np.uint32),
-            color=palette.BONE,
-            flat_shading=True,
-            side="front" if fronts_only else "double",
-            opacity=self._opacity,
-            cast_shadow=False,
-            visible=self._visible,
+        drawn.mesh = self._add(
+            "/anatomy/mesh", drawn, vertices, faces, scene.fronts_only and part is None
         )
 
     def show(self, visible: bool) -> None:
         """Layer switch."""
         self._visible = visible
-        if self._mesh is not None:
-            self._mesh.visible = visible
+        self._draw()
+
+    def show_structure(self, number: int, visible: bool) -> None:
+        """Switch of one structure; 0 is the mesh."""
+        if 0 <= number < len(self._drawn):
+            self._drawn[number].visible = visible
+            self._draw()
+
+    def shows(self, number: int) -> bool:
+        """Whether the switch of a structure is on."""
+        return 0 <= number < len(self._drawn) and self._drawn[number].visible
 
     def set_translucent(self, on: bool) -> None:
         """Layer switch of the translucency."""
         self._translucent = on
         self._draw()
 
+    def set_looks(self, structures: Sequence[Structure]) -> None:
+        """Colours and opacities, in the order of `Options.anatomy`."""
+        for k, (drawn, own) in enumerate(zip(self._drawn, structures, strict=False)):
+            drawn.color, drawn.opacity = palette.structure_colour(own, k), own.opacity
+
     def frame(self, shown: Moment, clients: Clients) -> None:
+        self.set_looks(shown.options.anatomy)
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
         self.keep_tip_visible(eyes, np.array(shown.tip.translation))
 
     def keep_tip_visible(
         self, eyes: Iterable[NDArray[np.float64]], p_tip: NDArray[np.float64]
     ) -> None:
-        """Make the mesh translucent while it hides p_tip (3,) [m] from an eye (3,), scene units."""
-        scene = self._scene
-        if (
-            scene is not None
-            and self._whole
-            and any(
-                np.isfinite(eye).all() and not sees(scene.surface, eye / VIEW_SCALE, p_tip)
-                for eye in eyes
-            )
-        ):
-            self._hidden_at = time.monotonic()
+        """Make a mesh translucent while it hides p_tip (3,) [m] from an eye (3,), scene units."""
+        eyes = list(eyes)
+        self._turn = (self._turn + 1) % TURNS
+        for drawn in (*self._drawn[:1], *self._drawn[1 + self._turn :: TURNS]):
+            if drawn.visible and drawn.hides(eyes, p_tip):
+                drawn.hidden_at = time.monotonic()
         self._draw()
 
-    @property
-    def _opacity(self) -> float | None:
-        hides = time.monotonic() < self._hidden_at + HOLD
-        return TRANSLUCENT if self._translucent or hides else None
+    def _opacity(self, drawn: _Drawn) -> float | None:
+        hides = time.monotonic() < drawn.hidden_at + HOLD
+        opacity = min(drawn.opacity, TRANSLUCENT) if self._translucent or hides else drawn.opacity
+        return None if opacity == 1.0 else opacity
 
     def _draw(self) -> None:
-        if self._mesh is not None and self._mesh.opacity != self._opacity:
-            self._mesh.opacity = self._opacity
+        for drawn in self._drawn:
+            mesh = drawn.mesh
+            if mesh is None:
+                continue
+            opacity, visible = self._opacity(drawn), self._visible and drawn.visible
+            if mesh.opacity != opacity:
+                mesh.opacity = opacity
+            if mesh.visible != visible:
+                mesh.visible = visible
+            if tuple(mesh.color) != drawn.color:
+                mesh.color = drawn.color
+
+    def _add(
+        self,
+        name: str,
+        drawn: _Drawn,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int64],
+        fronts_only: bool,
+    ) -> viser.MeshHandle:
+        return self._api.add_mesh_simple(
+            name,
+            vertices=to_buffer(vertices),
+            faces=faces.astype(np.uint32),
+            color=drawn.color,
+            flat_shading=True,
+            # Without a graphics card the back faces take a third of the rendering time.
+            side="front" if fronts_only else "double",
+            opacity=self._opacity(drawn),
+            cast_shadow=False,
+            visible=self._visible and drawn.visible,
+        )
+
+
+def _sources(scene: Scene) -> list[tuple[str, str | None, str | None]]:
+    return [own.source for own in scene.options.anatomy]

@@ -30,4 +30,5 @@ class CrossingMark(Part):
         if crossing is not None:
             self._dot.position = self._label.position = to_view(crossing.point)
             what = "crossed" if crossing.centre else "touched"
-            self._label.text = f"✕ {what} at tick {crossing.tick:,}"
+            where = f" {crossing.structure}" if shown.scene.structures else ""
+            self._label.text = f"✕ {what}{where} at tick {crossing.tick:,}"

@@ -10,6 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
+from app.control.engine import guarded
 from app.recording.playback import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
@@ -95,9 +96,12 @@ class FixtureDrawing(Part):
         if step is not None:
             p_tip = np.asarray(step.tip.translation)
             scene = shown.scene
+            around = guarded(shown.options, scene.surfaces)
             self.draw(
-                p_tip, step.radius, step.planes, step.multipliers, scene.surface, scene.arm.capsules
-            )
+                p_tip, step.radius, step.planes, step.multipliers,
+                [surface for _, surface in around], scene.arm.capsules,
+                [str(own.name) for own, _ in around] if scene.structures else (),
+            )  # fmt: skip
 
     def draw(
         self,
@@ -105,20 +109,24 @@ class FixtureDrawing(Part):
         radius: float,
         planes: vf.Planes,
         multipliers: FloatArray,
-        surface: vf.Surface,
+        surfaces: Sequence[vf.Surface],
         capsules: Sequence[Capsule] = (),
+        names: Sequence[str] = (),
     ) -> None:
         """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m].
 
-        `capsules` are those of the arm; without them all planes are the tip's.
+        Args:
+            surfaces: those that the planes are of, by fixture.
+            capsules: those of the arm; without them all planes are the tip's.
+            names: of the surfaces, if there are several.
         """
         self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
             self._sphere.position = to_view(p_tip)
             self._sphere.scale = float(to_view(radius))
         chosen = chosen_planes(planes, p_tip, radius)
-        self._draw_planes(p_tip, radius, planes, multipliers, chosen, capsules)
-        self._draw_triangles(radius, planes, surface, chosen)
+        self._draw_planes(p_tip, radius, planes, multipliers, chosen, capsules, names)
+        self._draw_triangles(radius, planes, surfaces, chosen)
 
     def hide(self) -> None:
         """Hide everything until the next `draw`."""
@@ -137,6 +145,7 @@ class FixtureDrawing(Part):
         multipliers: FloatArray,
         chosen: NDArray[np.intp],
         capsules: Sequence[Capsule],
+        names: Sequence[str],
     ) -> None:
         for label in self._names:
             label.visible = False
@@ -196,7 +205,9 @@ class FixtureDrawing(Part):
                 node.scale = float(scales[most])
             self._blocks.position = to_view(foot + BLOCKING_LENGTH * radii[most] * normals[most])
             who = capsules[parts[most]].name + " " if parts[most] >= 0 else ""
-            self._blocks.text = f"{who}blocks: takes {1e3 * strongest:.2g} mm off each step"
+            fixture = fixture_of(planes, int(chosen[most]))
+            at = f" at {names[fixture]}" if fixture < len(names) else ""
+            self._blocks.text = f"{who}blocks{at}: takes {1e3 * strongest:.2g} mm off each step"
         if self.show_planes:
             self._name_parts(capsules, parts, pushes, centres)
 
@@ -215,31 +226,55 @@ class FixtureDrawing(Part):
             label.visible = True
 
     def _draw_triangles(
-        self, radius: float, planes: vf.Planes, surface: vf.Surface, chosen: NDArray[np.intp]
+        self,
+        radius: float,
+        planes: vf.Planes,
+        surfaces: Sequence[vf.Surface],
+        chosen: NDArray[np.intp],
     ) -> None:
-        chosen = chosen[planes.triangles[chosen] >= 0]
+        chosen, corners = _triangles(planes, surfaces, chosen)
         shown = self.show_triangles and not (self.suppressed or self.inspected)
         lift = 0.01 * radius  # along the normals, clear of the mesh's own triangles [m]
+        normals = planes.normals[chosen][:, None, :]
         for rule, node in self._triangles.items():
-            mine = chosen[planes.rules[chosen] == rule]
-            visible = shown and len(mine) > 0
+            mine = planes.rules[chosen] == rule
+            visible = shown and bool(mine.any())
             if visible:
-                corners = surface.vertices[surface.faces[planes.triangles[mine]]]  # (k, 3, 3)
-                corners = corners + lift * planes.normals[mine][:, None, :]
-                node.vertices = to_buffer(corners.reshape(-1, 3))
-                node.faces = np.arange(3 * len(mine), dtype=np.uint32).reshape(-1, 3)
+                lifted = corners[mine] + lift * normals[mine]
+                node.vertices = to_buffer(lifted.reshape(-1, 3))
+                node.faces = np.arange(3 * len(lifted), dtype=np.uint32).reshape(-1, 3)
             node.visible = visible
         self._edges.visible = shown and len(chosen) > 0
         if self._edges.visible:
-            corners = surface.vertices[surface.faces[planes.triangles[chosen]]]  # (k, 3, 3)
-            corners = corners + 1.5 * lift * planes.normals[chosen][:, None, :]
-            ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+            lifted = corners + 1.5 * lift * normals
+            ends = np.stack([lifted, np.roll(lifted, -1, axis=1)], axis=2).reshape(-1, 2, 3)
             unused = np.tile(ends[-1:, :1], (3 * MAX_PLANES - len(ends), 2, 1))  # of zero length
             self._edges.points = to_buffer(np.concatenate([ends, unused]))
             looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
             colors = np.zeros((3 * MAX_PLANES, 2, 3), dtype=np.uint8)
             colors[: len(ends)] = np.repeat(np.array(looks, dtype=np.uint8), 3, axis=0)[:, None, :]
             self._edges.colors = palette.linear(colors)
+
+
+def fixture_of(planes: vf.Planes, k: int) -> int:
+    """Number of the fixture that a plane is of."""
+    return 0 if planes.fixtures is None else int(planes.fixtures[k])
+
+
+def _triangles(
+    planes: vf.Planes, surfaces: Sequence[vf.Surface], chosen: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], FloatArray]:
+    """Those of the chosen planes that are of triangles, and their corners (k, 3, 3).
+
+    The planes may be of the tick before a structure was switched on or off.
+    """
+    rows, corners = [], []
+    for k in chosen:
+        fixture, triangle = fixture_of(planes, k), int(planes.triangles[k])
+        if fixture < len(surfaces) and 0 <= triangle < len(surfaces[fixture].faces):
+            rows.append(k)
+            corners.append(surfaces[fixture].vertices[surfaces[fixture].faces[triangle]])
+    return np.array(rows, dtype=np.intp), np.array(corners).reshape(-1, 3, 3)
 
 
 def chosen_planes(planes: vf.Planes, p_tip: FloatArray, radius: float) -> NDArray[np.intp]:

@@ -290,6 +290,12 @@ def states(verdicts: NDArray[np.int8], covers: NDArray[np.int8]) -> NDArray[np.i
     return np.where(only, STATES.index(palette.TriangleState.CERTIFIED), found).astype(np.int8)
 
 
+def structure(inspection: Inspection) -> str:
+    """The structure that is inspected, where the scene has several."""
+    name = inspection.subject.structure
+    return _box(f"Structure: {name}") if name else ""
+
+
 def _plane(inspection: Inspection, report: TriangleReport) -> str:
     """The plane of a triangle in force, and how far it pushed the tip back."""
     subject, planes = inspection.subject, inspection.planes

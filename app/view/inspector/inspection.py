@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,9 @@ class Subject:
         names: of the triangles, if they have names.
         axes: (c, 2, 3) of the arm's capsules at the tick [m]; None for a probe.
         tick: number of the shown tick.
+        fixture: number of the controller's fixture that the surface belongs to.
+        structure: name of the surface, where the scene has several.
+        margin: of the structure [m].
     """
 
     surface: vf.Surface
@@ -49,6 +53,9 @@ class Subject:
     names: tuple[str, ...] = ()
     tick: int | None = None
     axes: FloatArray | None = None
+    fixture: int = 0
+    structure: str = ""
+    margin: float = 0.0
 
     def part(self, planes: vf.Planes, k: int) -> str:
         """Name of the part of the instrument that a plane holds."""
@@ -112,8 +119,9 @@ class Inspection:
     Attributes:
         subject: what was inspected.
         explanation: for each triangle.
-        planes: of the tick, or of the subject's rule at the probe.
+        planes: of the tick and of the subject's surface, or of the subject's rule at the probe.
         multipliers: (m,) how far each plane pushed the tip back in the tick [m].
+        pushes: sum of the multipliers of all planes of the tick [m].
         region: the allowed region; None: not requested.
         forecasts: of all rules; None: not requested. As they take long, they may be of an earlier
             moment than the subject, the same one for all rules.
@@ -127,10 +135,11 @@ class Inspection:
     region: Region | None
     forecasts: Forecasts | None
     settled: bool = True
+    pushes: float = 0.0
 
     def push(self, triangle: int) -> tuple[float, float]:
         """How far a triangle's planes pushed the tip back [m], and their share of all pushes."""
-        total = float(self.multipliers.sum())
+        total = self.pushes
         mine = float(self.multipliers[self.planes.triangles == triangle].sum())
         return mine, mine / total if total > 0.0 else 0.0
 
@@ -150,6 +159,7 @@ class Inspector:
         self._compared_at = 0.0  # monotonic time [s]
         self._last: Inspection | None = None
         self._request: Request | None = None
+        self._every = vf.Planes.none(0.0)  # the planes of all fixtures at the last subject
 
     def inspect(self, request: Request) -> Inspection:
         """Inspect the subject of a request."""
@@ -164,19 +174,22 @@ class Inspector:
                 subject.x,
                 subject.radius,
                 options.standoff,
-                options.tip_radius,
+                options.tip_radius + subject.margin,  # as if the tool were so much thicker
                 MAX_TRIANGLES,
             )
         if subject.step is not None:
-            planes, multipliers = subject.step.planes, subject.step.multipliers
+            every = subject.step.planes
+            planes, multipliers = _of_fixture(every, subject.step.multipliers, subject.fixture)
+            pushes = float(subject.step.multipliers.sum())
         else:
-            planes = _planes(subject, explanation)
-            multipliers = np.zeros(len(planes))
+            every = planes = _planes(subject, explanation)
+            multipliers, pushes = np.zeros(len(planes)), 0.0
         region = None
         if request.region:
-            if last is not None and same and _equal(last.planes, planes):
+            if last is not None and same and _equal(self._every, every):
                 region = last.region
-            region = region or allowed_region(planes.of_tip(), subject.x)
+            region = region or allowed_region(every.of_tip(), subject.x)
+        self._every = every
         forecasts, settled = None, True
         if request.comparison:
             alike = last is not None and last.subject.same_setting(subject)
@@ -188,7 +201,7 @@ class Inspector:
                 self._compared_at = time.monotonic()
         self._request = request
         self._last = Inspection(
-            subject, explanation, planes, multipliers, region, forecasts, settled
+            subject, explanation, planes, multipliers, region, forecasts, settled, pushes
         )
         return self._last
 
@@ -199,6 +212,19 @@ class Inspector:
             subject.surface, subject.x, subject.radius, subject.options, subject.pose
         )
         return Forecasts(subject.x, subject.tick, found)
+
+
+def _of_fixture(
+    planes: vf.Planes, multipliers: FloatArray, fixture: int
+) -> tuple[vf.Planes, FloatArray]:
+    """The planes (m) of a fixture, and those of corridors, with their multipliers (m,)."""
+    if planes.fixtures is None:
+        return planes, multipliers
+    kept = (planes.fixtures == fixture) | (planes.rules == vf.Rule.CORRIDOR)
+    arrays: dict[str, Any] = {
+        name: array[kept] for name, array in vars(planes).items() if isinstance(array, np.ndarray)
+    }
+    return replace(planes, **arrays), multipliers[kept]
 
 
 def _equal(a: vf.Planes, b: vf.Planes) -> bool:

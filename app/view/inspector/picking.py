@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -44,6 +46,30 @@ def pick(surface: vf.Surface, origin: ArrayLike, direction: ArrayLike) -> int:
     if not np.isfinite(along).any():
         return -1
     return int(tree.order[candidates[np.argmin(along)]])
+
+
+def along(surface: vf.Surface, triangle: int, origin: ArrayLike, direction: ArrayLike) -> float:
+    """Distance along a ray to a triangle that it meets, in lengths of the direction."""
+    corners = surface.vertices[surface.faces[triangle]][None]
+    return float(distances(corners, np.asarray(origin, float), np.asarray(direction, float))[0])
+
+
+def main_structure(
+    surfaces: Sequence[vf.Surface], step: vf.Step, x: FloatArray, chosen: vf.Surface | None
+) -> int:
+    """The surface to inspect at a tip x (3,) [m], by its number: the chosen one, if it is there.
+
+    Else the one whose plane pushes the tool most, or else the nearest.
+    """
+    for k, surface in enumerate(surfaces):
+        if surface is chosen:
+            return k
+    fixtures, pushes = step.planes.fixtures, step.multipliers
+    if fixtures is not None and len(pushes):
+        own = np.where(fixtures < len(surfaces), pushes, 0.0)
+        if own.max() > 0.0:
+            return int(fixtures[own.argmax()])
+    return min(range(len(surfaces)), key=lambda k: surfaces[k].nearest(x)[0])
 
 
 def distances(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:

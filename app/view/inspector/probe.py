@@ -85,7 +85,7 @@ class Probe:
         self._name.position = to_view(subject.x)
         self.gizmo.visible = self._ball.visible = self._name.visible = True
         self._fixture.draw(
-            subject.x, subject.radius, inspection.planes, inspection.multipliers, subject.surface
+            subject.x, subject.radius, inspection.planes, inspection.multipliers, [subject.surface]
         )
 
 

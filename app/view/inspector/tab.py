@@ -12,6 +12,7 @@ import viser
 from numpy.typing import NDArray
 
 import vf
+from app.control.engine import guarded
 from app.control.messages import Telemetry
 from app.recording.playback import Moment
 from app.scene.scene import Scene
@@ -21,7 +22,7 @@ from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Pose
 from app.view.inspector.drawing import NearDrawing
 from app.view.inspector.inspection import Inspection, Inspector, Request, Subject
-from app.view.inspector.picking import pick
+from app.view.inspector.picking import along, main_structure, pick
 from app.view.inspector.probe import Probe, case_pose, case_view
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, pose_from_view
@@ -61,6 +62,7 @@ class InspectorTab(Part):
         self._request: Request | None = None
         self._step: vf.Step | None = None  # of the shown tick
         self._chosen: int | None = None  # None: the main triangle of the inspection
+        self._of: vf.Surface | None = None  # the surface that the chosen triangle is of
         self._region = False
         self._comparing = False
         self._exploring = False
@@ -131,7 +133,9 @@ class InspectorTab(Part):
                 page.content = ""
             return
         chosen = self._chosen_in(inspection)
-        self._report.content = descriptions.triangle(inspection, chosen)
+        self._report.content = descriptions.structure(inspection) + descriptions.triangle(
+            inspection, chosen
+        )
         self._list.content = descriptions.nearest(inspection, chosen) + descriptions.parts(
             inspection
         )
@@ -159,11 +163,16 @@ class InspectorTab(Part):
         if step is None or telemetry.scene != scene.version:
             return None
         if not self._exploring:
-            target = telemetry.target
+            target, p_tip = telemetry.target, np.array(step.tip.translation)
+            around = guarded(options, scene.surfaces) or [(options.anatomy[0], scene.surface)]
+            chosen = None if self._chosen is None else self._of
+            k = main_structure([one for _, one in around], step, p_tip, chosen)
+            own, surface = around[k]
             return Subject(
-                scene.surface, np.array(step.tip.translation), step.radius, options,
+                surface, p_tip, step.radius, options,
                 options.rule, scene, step, None if target is None else Pose(telemetry.q, target),
-                tick=telemetry.tick, axes=scene.arm.axes(step.q),
+                tick=telemetry.tick, axes=scene.arm.axes(step.q), fixture=k,
+                structure=str(own.name) if scene.structures else "", margin=own.margin or 0.0,
             )  # fmt: skip
         if self._case is None:
             return Subject(self._surface, self._probe_at, step.radius, options, self._rule, scene)
@@ -174,7 +183,9 @@ class InspectorTab(Part):
 
     def _chosen_in(self, inspection: Inspection) -> int:
         chosen = self._chosen
-        if chosen is None or chosen >= len(inspection.subject.surface.faces):
+        surface = inspection.subject.surface
+        stale = not self._exploring and self._of is not surface
+        if chosen is None or stale or chosen >= len(surface.faces):
             return inspection.main_triangle()
         return chosen
 
@@ -263,13 +274,17 @@ class InspectorTab(Part):
         self._context.client_input.submit(self._pick, event.ray_origin, event.ray_direction)
 
     def _pick(self, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
-        surface = self._surface if self._exploring else self._scene.surface
+        options = self._context.source.shown.options
+        around = [surface for _, surface in guarded(options, self._scene.surfaces)]
+        surfaces = [self._surface] if self._exploring else around or [self._scene.surface]
+        eye = np.asarray(origin) / VIEW_SCALE
         try:
-            triangle = pick(surface, np.asarray(origin) / VIEW_SCALE, direction)
+            found = [(one, pick(one, eye, direction)) for one in surfaces]
         except ValueError:
             return  # no browser sends that
-        if triangle >= 0:
-            self._chosen = triangle
+        met = [(along(one, t, eye, direction), k) for k, (one, t) in enumerate(found) if t >= 0]
+        if met:
+            self._of, self._chosen = found[min(met)[1]]
 
     def _advance(self, where: str) -> None:
         inspection = self._newest()
@@ -277,6 +292,7 @@ class InspectorTab(Part):
             self._chosen = None
             return
         explanation = inspection.explanation
+        self._of = inspection.subject.surface
         row = explanation.row(self._chosen_in(inspection))
         row += 1 if where == ON else -1
         self._chosen = int(explanation.triangles[min(max(row, 0), len(explanation) - 1)])

@@ -6,6 +6,7 @@ crossings, lines of sight and the distance of the other parts are computed by `a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,7 @@ class Whereabouts:
         part_gap: its distance from there [m]; negative: it overlaps it, by its radius at most.
         in_mesh: names of the parts that are in the mesh: those beyond the first, which is at the
             tip, that overlap it, and any whose axis meets it.
+        structure: name of the structure that the distance is from.
     """
 
     distance: float
@@ -51,6 +53,7 @@ class Whereabouts:
     part: str
     part_gap: float
     in_mesh: tuple[str, ...]
+    structure: str = ""
 
     @property
     def gap(self) -> float:
@@ -75,38 +78,48 @@ def whereabouts(
     tip_radius: float,
     crossing: Crossing | None,
     trocar: float = 0.0,
+    around: Sequence[tuple[str, vf.Surface]] = (),
 ) -> Whereabouts:
     """Position of the tip p_tip (3,) [m], base frame, of the arm at joints q (n,).
 
     Args:
         trocar: radius of the trocar zone [m], in which the shaft may be in the mesh.
+        around: the structures that count, each with its name; empty: the scene's mesh.
     """
-    surface, p = scene.surface, np.asarray(p_tip, dtype=np.float64)
-    inside = surface.inside(p)
+    around, p = around or (("", scene.surface),), np.asarray(p_tip, dtype=np.float64)
+    inside = [surface.inside(p) for _, surface in around]
+    distances = [surface.nearest(p)[0] for _, surface in around]
+    # Inside of something, that counts, however near another one is.
+    k = min(range(len(around)), key=lambda k: (not inside[k], distances[k]))
     beyond, length = False, 0.0
     if crossing is not None:
         length = float(np.linalg.norm(p - crossing.point))
         near = (crossing.before, np.asarray(scene.T_base_start.translation))
-        beyond = crossing.centre and not inside and not any(sees(surface, p, y) for y in near)
-    part, part_gap, in_mesh = _parts(scene, q, trocar)
+        met = [s for name, s in around if name == crossing.structure] or [s for _, s in around]
+        seen = any(all(sees(surface, p, y) for surface in met) for y in near)
+        beyond = crossing.centre and not any(inside) and not seen
+    part, part_gap, in_mesh = _parts(scene, q, trocar, [surface for _, surface in around])
     return Whereabouts(
-        distance=surface.nearest(p)[0],
+        distance=distances[k],
         tip_radius=tip_radius,
-        closed=surface.closed,
-        inside=inside,
+        closed=any(surface.closed for _, surface in around),
+        inside=inside[k],
         crossing=crossing,
         beyond=beyond,
         from_crossing=length,
         part=part,
         part_gap=part_gap,
         in_mesh=in_mesh,
+        structure=around[k][0],
     )
 
 
-def _parts(scene: Scene, q: ArrayLike, trocar: float) -> tuple[str, float, tuple[str, ...]]:
+def _parts(
+    scene: Scene, q: ArrayLike, trocar: float, surfaces: Sequence[vf.Surface]
+) -> tuple[str, float, tuple[str, ...]]:
     """Of a `Whereabouts`: part, part_gap, in_mesh."""
     capsules = scene.arm.capsules
-    found = gaps(boxes.of(scene.surface), scene.arm, q, trocar)
+    found = np.min([gaps(boxes.of(one), scene.arm, q, trocar) for one in surfaces], axis=0)
     in_mesh = tuple(
         capsule.name
         for k, (capsule, gap) in enumerate(zip(capsules, found, strict=True))
@@ -114,6 +127,11 @@ def _parts(scene: Scene, q: ArrayLike, trocar: float) -> tuple[str, float, tuple
     )
     k = int(found.argmin())
     return capsules[k].name, float(found[k]), in_mesh
+
+
+def nearest_of(surfaces: Sequence[vf.Surface], p_base: ArrayLike) -> vf.Surface:
+    """The surface that is nearest to p_base (3,)."""
+    return min(surfaces, key=lambda surface: surface.nearest(p_base)[0])
 
 
 def signed_distance(surface: vf.Surface, p_base: ArrayLike) -> float:

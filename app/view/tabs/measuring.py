@@ -7,10 +7,17 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from app.control.engine import guarded
 from app.control.messages import Telemetry
 from app.recording.playback import Moment
+from app.settings import Options
 from app.view.tabs.depth import Whereabouts, whereabouts
 from app.view.tabs.readouts import Extras
+
+
+def fixture_names(options: Options) -> tuple[str, ...]:
+    """Names of the structures that are guarded, in the order of the controller's fixtures."""
+    return tuple(str(own.name) for own in options.anatomy if own.guarded)
 
 
 class Measuring:
@@ -32,11 +39,13 @@ class Measuring:
         if step is not None and telemetry.scene == scene.version:
             p_tip = np.array(step.tip.translation)
             reach = step.radius + shown.options.tip_radius
-            in_sphere = len(scene.surface.within(p_tip, reach).triangles)
             options = shown.options
+            around = [(str(own.name), one) for own, one in guarded(options, scene.surfaces)]
+            around = around or [(scene.mesh_name, scene.surface)]
+            in_sphere = sum(len(one.within(p_tip, reach).triangles) for _, one in around)
             where = whereabouts(
                 scene, telemetry.q, p_tip, options.tip_radius, shown.crossing,
-                options.trocar if options.guards_tool else 0.0,
+                options.trocar if options.guards_tool else 0.0, around,
             )  # fmt: skip
             before = self._before
             if before is not None and self._tip_before is not None:
@@ -51,4 +60,8 @@ class Measuring:
         joints = tuple(scene.arm.joints)
         silent = now - self._newest_since
         parts = tuple(capsule.name for capsule in scene.arm.capsules)
-        return Extras(in_sphere, speed, joints, silent, self._count, where, unwatched, ended, parts)
+        structures = fixture_names(shown.options) if scene.structures else ()
+        return Extras(
+            in_sphere, speed, joints, silent, self._count, where, unwatched, ended, parts,
+            structures,
+        )  # fmt: skip

@@ -28,6 +28,7 @@ from app.view.controls import dialogs
 from app.view.part import Part
 from app.view.tabs import health
 from app.view.tabs.recorder import recordings
+from app.view.tabs.structure_list import StructureList
 from meshes.units import choices as choices_of
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"
@@ -56,6 +57,7 @@ class MeshTab(Part):
         server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
         with context.left.add_tab("Mesh"):
+            self._structures = StructureList(context)
             self._upload = server.gui.add_upload_button(
                 "Bring your own mesh",
                 hint=f"{', '.join(meshes.FORMATS).upper()}; at most {limit / 1e6:,.0f} MB.",
@@ -135,12 +137,14 @@ class MeshTab(Part):
 
     def set_scene(self, scene: Scene) -> None:
         """Drop the report of another mesh; during a replay the session's is kept."""
+        self._structures.set_scene(scene)
         self._scene = scene
         if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
         self._show_report()
 
     def read_out(self, shown: Moment) -> None:
+        self._structures.read_out(shown)
         names = tuple(_labels(self._library.kept())) or (NONE,)
         if names != tuple(self._files.options):
             value = self._files.value if self._files.value in names else names[0]

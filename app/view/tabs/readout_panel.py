@@ -8,7 +8,7 @@ from app.recording.playback import Moment
 from app.session import Session
 from app.view.part import Part
 from app.view.source import Source
-from app.view.tabs import readouts
+from app.view.tabs import legend, readouts
 from app.view.tabs.measuring import Measuring
 
 
@@ -26,7 +26,7 @@ class ReadoutPanel(Part):
         with self.panel.add_tab("Read-outs"):
             self._table = server.gui.add_html("")
         with self.panel.add_tab("Legend"):
-            server.gui.add_html(readouts.legend())
+            server.gui.add_html(legend.legend())
         self.panel.dock_left()
         self.panel.set_width(290)
 

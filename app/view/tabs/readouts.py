@@ -1,4 +1,4 @@
-"""Read-outs, banner and legend as HTML, from one tick's telemetry. Pure functions."""
+"""Read-outs and banner as HTML, from one tick's telemetry. Pure functions."""
 
 from __future__ import annotations
 
@@ -51,6 +51,7 @@ class Extras:
         unwatched: ticks that were not tested for a crossing.
         ended: why the control loop ended by itself; empty: it did not.
         parts: names of the arm's capsules.
+        structures: where the scene has several, names of those that are guarded, by fixture.
     """
 
     in_sphere: int
@@ -62,6 +63,7 @@ class Extras:
     unwatched: int = 0
     ended: str = ""
     parts: tuple[str, ...] = ()
+    structures: tuple[str, ...] = ()
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -84,6 +86,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             _row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
             *_by_part(step, options, extras),
+            *_by_structure(step, extras),
             _row("QP", palette.SOLVER_HELP[step.solver]),
             _row("outcome", "loop ended" if extras.ended else step.status.name),
         ]
@@ -121,7 +124,9 @@ def banner(telemetry: Telemetry, options: Options, extras: Extras, clutched: boo
     if where is None:
         return _line(text, color)
     if where.crossing is not None:
-        return _line(text, palette.css(palette.ALARM), _crossing_text(where, where.crossing))
+        return _line(
+            text, palette.css(palette.ALARM), _crossing_text(where, where.crossing, extras)
+        )
     if where.in_mesh:
         verb = "is" if len(where.in_mesh) == 1 else "are"
         remark = f"The {_listed(where.in_mesh)} {verb} in the mesh"
@@ -153,7 +158,7 @@ def _line(text: str, color: str, latch: str = "", remark: str = "") -> str:
     )
 
 
-def _crossing_text(where: Whereabouts, crossing: Crossing) -> str:
+def _crossing_text(where: Whereabouts, crossing: Crossing, extras: Extras) -> str:
     """Where the tip met the mesh, where it is now, and what to do."""
     what = "Crossed" if crossing.centre else "Touched by the tip’s ball"
     if where.inside:
@@ -164,8 +169,9 @@ def _crossing_text(where: Whereabouts, crossing: Crossing) -> str:
         now = f"The tip’s ball overlaps the mesh by {-where.gap * 1e3:.2f} mm: Reset."
     else:
         now = "Back on the near side; Reset clears this."
+    of = f" of {crossing.structure}" if extras.structures else ""
     return (
-        f"{what} at tick {crossing.tick:,}, triangle #{crossing.triangle:,} "
+        f"{what} at tick {crossing.tick:,}, triangle #{crossing.triangle:,}{of} "
         f"(rule {crossing.rule}). {now}"
     )
 
@@ -193,6 +199,8 @@ def _distance_rows(extras: Extras) -> list[str]:
     else:
         outside = "0.000" if where.closed else "–"  # an open mesh has no inside
         rows.append(_row("depth below surface", distance if where.inside else outside, "mm"))
+    if extras.structures:
+        rows.insert(0, _row("nearest structure", _short(where.structure)))
     if len(extras.parts) > 1:
         nearest = where.part_gap if np.isfinite(where.part_gap) else 0.0
         rows.append(_row(f"nearest part: {where.part}", f"{nearest * 1e3:.3f}", "mm"))
@@ -204,43 +212,6 @@ def _distance_rows(extras: Extras) -> list[str]:
         seen += f"; {extras.unwatched:,} ticks unseen"
     rows.append(_row(name, seen, alarm=where.crossing is not None))
     return rows
-
-
-def legend() -> str:
-    """HTML legend of the colours."""
-    signs = [
-        (look.color, f"<b>{html.escape(look.name)}</b>: {html.escape(look.meaning)}")
-        for look in palette.LOOKS.values()
-    ]
-    signs += [
-        (palette.BLOCKING, "<b>ring and arrow</b>: the plane that holds the tool back most"),
-        (palette.PART, "<b>capsules</b> (layer): the parts of the instrument that are guarded"),
-        (palette.PART_NEAR, "<b>capsule with planes</b>, which do not hold it"),
-        (palette.PART_HELD, "<b>capsule held back</b>; its discs have the part’s name"),
-        (palette.TROCAR, "<b>trocar zone</b>: here the shaft may pass the mesh"),
-        (palette.SPHERE, "<b>motion sphere</b>: the reach of one tick's step"),
-        (palette.PROXY, "<b>tether</b>: from the tool to the proxy"),
-        (palette.FORCE, f"<b>{palette.FORCE_NAME}</b> on the hand: arrow, plot and number"),
-        (palette.PROBE, "<b>probe</b> of the inspector"),
-    ]
-    signs += [
-        (look.color, f"<b>inspector, {html.escape(look.name)}</b>: {html.escape(look.meaning)}")
-        for state, look in palette.TRIANGLE_STATES.items()
-        if state in (palette.TriangleState.CERTIFIED, palette.TriangleState.INACTIVE)
-    ]
-    rows = "".join(
-        "<div style='display:flex;gap:7px;margin-bottom:2px'><span style='flex:none;width:11px;"
-        "height:11px;margin-top:3px;border-radius:2px;border:1px solid var(--vf-faint);"
-        f"background:{palette.css(color)}'></span>"
-        f"<span>{text}</span></div>"
-        for color, text in signs
-    )
-    return (
-        f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
-        "<div style='color:var(--vf-faint);margin-top:4px'>Filled triangles gave the discs of the "
-        "same colour; the stronger a disc’s colour, the larger its share of the push. Of planes "
-        "farther off, when there are many, only the rim is drawn.</div></div>"
-    )
 
 
 def _state(
@@ -289,7 +260,11 @@ def _state(
         return "Recovering: the tool is led out to the standoff.", orange
     if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
         force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
-        return f"The fixture holds the {_held(step, options, extras)}: {force}.", busy
+        who = holders(step, extras.structures)
+        verb = "hold" if len(who) > 1 else "holds"
+        return f"{_listed(who) or 'The fixture'} {verb} the {_held(step, options, extras)}: " + (
+            f"{force}."
+        ), busy
     if step.status == vf.Status.SHORTENED:
         return "Only a part of the step was safe.", busy
     if inside:
@@ -323,6 +298,29 @@ def _counts(step: vf.Step, extras: Extras, counted: NDArray[np.bool_]) -> dict[s
         capsules = np.zeros(len(step.planes), dtype=np.int64)
     names = extras.parts or ("tool",)
     return {name: int((counted & (capsules == k)).sum()) for k, name in enumerate(names)}
+
+
+def holders(step: vf.Step, structures: Sequence[str]) -> list[str]:
+    """Names of the structures whose planes hold the tool, the one that pushes most first."""
+    fixtures, pushes = step.planes.fixtures, step.multipliers
+    if fixtures is None:
+        return []
+    most = {k: float(pushes[fixtures == k].max(initial=0.0)) for k in range(len(structures))}
+    held = sorted((k for k in most if most[k] > MIN_PUSH), key=lambda k: -most[k])
+    return [structures[k] for k in held]
+
+
+def _by_structure(step: vf.Step, extras: Extras) -> list[str]:
+    if not extras.structures:
+        return []
+    who = holders(step, extras.structures)
+    more = f" and {len(who) - 1} more" if len(who) > 1 else ""
+    return [_row("held by", _short(who[0]) + more if who else "–")]
+
+
+def _short(name: str) -> str:
+    """A name that fits beside another word."""
+    return name if len(name) <= 22 else f"{name[:21]}…"
 
 
 def _listed(names: Sequence[str]) -> str:

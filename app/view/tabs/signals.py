@@ -6,6 +6,7 @@ Samples are taken while a client is connected, also while the plots are off.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
+from app.control.engine import guarded
 from app.control.messages import Telemetry
 from app.recording.playback import Moment
 from app.scene.scene import Scene
+from app.settings import Options
 from app.view import palette
 from app.view.context import PageContext
 from app.view.drawing import trail
 from app.view.part import Clients, Part
-from app.view.tabs.depth import signed_distance
+from app.view.tabs.depth import nearest_of, signed_distance
 
 FloatArray = NDArray[np.float64]
 
@@ -71,7 +74,7 @@ PLOTS = (
 CURVES = sum(len(plot.curves) for plot in PLOTS)
 
 
-def sample(telemetry: Telemetry, surface: vf.Surface) -> FloatArray | None:
+def sample(telemetry: Telemetry, surfaces: Sequence[vf.Surface]) -> FloatArray | None:
     """One value per curve, in the order and units of `PLOTS`; None before the first tick."""
     step, stats = telemetry.step, telemetry.stats
     if step is None:
@@ -80,7 +83,7 @@ def sample(telemetry: Telemetry, surface: vf.Surface) -> FloatArray | None:
     gap = 0.0 if telemetry.target is None else np.linalg.norm(telemetry.target.translation - p_tip)
     return np.array(
         [
-            signed_distance(surface, p_tip) * 1e3,
+            signed_distance(nearest_of(surfaces, p_tip), p_tip) * 1e3,
             gap * 1e3,
             np.linalg.norm(step.force),
             *(int((step.planes.rules == rule).sum()) for rule in CONDITIONS),
@@ -179,10 +182,10 @@ class Signals(Part):
             self._history.clear()
             self._trail.path.break_line()
             self._restart()
-        self._extend_trail(telemetry, shown.options.rule)
+        self._extend_trail(telemetry, shown.options)
         if not 0.0 <= telemetry.time - self._sample_time < PERIOD:
             self._sample_time = telemetry.time
-            values = sample(telemetry, self._scene.surface)
+            values = sample(telemetry, self._around(shown.options))
             if values is not None:
                 self._history.add(telemetry.time, values)
                 self._due |= not 0.0 <= telemetry.time - self._plot_time < PLOT_PERIOD
@@ -209,9 +212,14 @@ class Signals(Part):
         self._sample_time = self._plot_time = self._trail_time = -math.inf
         self._due = True
 
-    def _extend_trail(self, telemetry: Telemetry, rule: str) -> None:
+    def _around(self, options: Options) -> list[vf.Surface]:
+        """The surfaces that are guarded; if there are none, the mesh's."""
+        around = guarded(options, self._scene.surfaces)
+        return [surface for _, surface in around] or [self._scene.surface]
+
+    def _extend_trail(self, telemetry: Telemetry, options: Options) -> None:
         mode = self._mode.value
-        if mode == NEVER or (mode == WHEN_OFF and rule != "off"):
+        if mode == NEVER or (mode == WHEN_OFF and options.rule != "off"):
             self._trail.path.break_line()
             return
         if 0.0 <= telemetry.time - self._trail_time < 0.5 * PERIOD:
@@ -219,7 +227,8 @@ class Signals(Part):
         self._trail_time = telemetry.time
         assert telemetry.step is not None
         p_tip = np.array(telemetry.step.tip.translation)
-        if self._trail.path.add(p_tip, signed_distance(self._scene.surface, p_tip)):
+        surface = nearest_of(self._around(options), p_tip)
+        if self._trail.path.add(p_tip, signed_distance(surface, p_tip)):
             self._trail.draw()
 
     def _clear_all(self) -> None:

@@ -27,7 +27,7 @@ from app.scenarios.file import (
 )
 from app.scenarios.presets import PRESETS, find
 from app.scene import scene as scenes
-from app.settings import Options, number
+from app.settings import Options, Structure, number
 from app.words import OptionError
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "scenarios.md"
@@ -50,8 +50,27 @@ def within(name: str) -> st.SearchStrategy[float]:
     return st.floats(number(name).low, number(name).high)
 
 
+structures = st.builds(
+    Structure,
+    file=st.sampled_from([*meshes.names(), "temporal-bone"]),
+    label=st.none() | st.sampled_from(["3", "facial nerve", "a:b.c"]),
+    name=st.none() | words,
+    colour=st.none() | st.just("#0a0b0c"),
+    opacity=st.floats(0.05, 1.0),
+    margin=st.none() | st.floats(0.0, 0.05),
+    guard=st.sampled_from([None, "tip", "tool"]),
+    guarded=st.booleans(),
+    unit=st.sampled_from([None, "mm"]),
+)
+
+
 options = st.builds(
     Options,
+    structures=st.lists(structures, max_size=3).map(tuple),
+    margin=within("margin"),
+    guarded=st.booleans(),
+    colour=st.none() | st.just("#0a0b0c"),
+    opacity=within("opacity"),
     mesh=st.sampled_from(meshes.names()),
     unit=st.sampled_from([None, "mm", "in"]),
     at=st.none() | points,
@@ -193,7 +212,7 @@ POINT = {"time": 0.0, "at": "0mm,0mm,0mm"}
         (changed(format=True), '"format" must be 1'),
         (changed(format="1"), '"format" must be 1'),
         ('{"format": 1, "format": 1}', 'the key "format" is there twice'),
-        (changed(colour="red"), 'unknown key "colour": choose from format, name, about, mesh'),
+        (changed(paint="red"), 'unknown key "paint": choose from format, name, about, mesh'),
         (changed(host="0.0.0.0"), 'unknown key "host": choose from'),
         ('{"format": 1, "name": "x"}', '"about" is missing'),
         (changed(name=3), '"name": 3: must be a text'),

@@ -75,7 +75,7 @@ def pushing_rules(telemetry: Telemetry) -> set[int]:
 
 
 def test_every_preset_has_a_sentence_of_its_own() -> None:
-    assert len({scenario.about for scenario in PRESETS.values()}) == len(PRESETS) == 12
+    assert len({scenario.about for scenario in PRESETS.values()}) == len(PRESETS) == 13
     for name, scenario in PRESETS.items():
         assert name == scenario.name
         assert scenario.about.endswith(".")
@@ -252,6 +252,34 @@ def test_around_the_corner_the_two_guards_side_by_side(played: Played) -> None:
     assert away[:round_the_edge].max() < 1e-9
     assert away[-1] > 0.01
     assert crossings(scene, tip).keys() == {"wrist", "shaft"}
+
+
+def test_in_the_temporal_bone_each_structure_holds_the_burr_at_its_margin(played: Played) -> None:
+    scene, seen = played("temporal-bone")
+    scenario = PRESETS["temporal-bone"]
+    options = scenes.settled(scenario.applied(Options()), scene)
+    assert not options.anatomy[0].guarded
+    bone, path = scene.surface, tips(seen)
+    assert any(bone.inside(p) for p in path[::25])  # the burr cuts
+    margins = {own.name: own.margin for own in options.structures}
+    assert sorted({margin for margin in margins.values() if margin}) == [0.5e-3, 1e-3, 2e-3, 3e-3]
+    held: set[str] = set()
+    for telemetry in seen:
+        step = telemetry.step
+        assert step is not None
+        assert step.planes.fixtures is not None
+        pushing = step.planes.fixtures[step.multipliers > 1e-9]
+        held |= {str(options.structures[k].name) for k in set(pushing.tolist())}
+    assert held >= {"facial nerve", "chorda tympani", "incus", "sigmoid sinus", "dura"}
+    for own, built in zip(options.structures, scene.structures, strict=True):
+        surface = built.surface
+        assert Oracle(surface.vertices, surface.faces).crossings(path) == 0, own.name
+        assert own.margin is not None
+        # By the judges' search: the ball of the burr, and every other part, keep the margin.
+        around = boxes.of(surface)
+        near = min(float(gaps(around, scene.arm, t.q).min()) for t in seen[::20])
+        assert near > own.margin, own.name
+        assert min(surface.nearest(p)[0] for p in path[::10]) > own.margin + 1e-3, own.name
 
 
 def test_a_scenario_by_its_name_and_options_that_win_over_it() -> None:

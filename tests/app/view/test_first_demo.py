@@ -21,7 +21,7 @@ from app.settings import Options
 from app.view import camera, palette
 from app.view.drawing import anatomy
 from app.view.drawing.proxy import GIZMO_SIZE
-from app.view.tabs import readouts, signals
+from app.view.tabs import legend, readouts, signals
 from tests.support.runs import run_headless
 
 HEIGHT = 900  # of the picture on a usual screen [px]
@@ -118,7 +118,7 @@ def test_the_anatomy_is_translucent_while_it_hides_the_tip(
     try:
         layer = anatomy.Anatomy(server.scene)
         layer.set_scene(scene)
-        mesh: Any = layer._mesh
+        mesh: Any = layer._drawn[0].mesh
         assert mesh.opacity is None
         tip = scene.T_base_start.translation
         low = np.array([*tip[:2], scene.surface.vertices[:, 2].min()])
@@ -163,7 +163,7 @@ def test_the_force_has_one_name_and_one_colour() -> None:
     plot = next(p for p in signals.PLOTS if "force" in p.title.lower())
     assert plot.title.lower().startswith(name)
     assert plot.curves[0].color == palette.FORCE
-    assert name in readouts.legend()
+    assert name in legend.legend()
     others = [look.color for look in palette.LOOKS.values()]
     others += [palette.BLOCKING, palette.PROXY, palette.ALARM, palette.CORRIDOR]
     assert palette.FORCE not in others
@@ -185,7 +185,7 @@ def test_every_triangle_has_edges_in_its_rules_colour(scene: Scene) -> None:
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
         drawing = FixtureDrawing(server.scene, Labels(server))
-        drawing.draw(p_tip, 5e-3, planes, np.zeros(len(planes)), scene.surface)
+        drawing.draw(p_tip, 5e-3, planes, np.zeros(len(planes)), [scene.surface])
         edges: Any = drawing._edges
         assert edges.visible
         count = 3 * len(planes)

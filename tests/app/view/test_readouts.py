@@ -17,7 +17,7 @@ from app.recording.playback import Moment
 from app.session import Session
 from app.settings import Options
 from app.view import palette
-from app.view.tabs import readouts
+from app.view.tabs import legend, readouts
 from app.view.tabs.depth import whereabouts
 from app.view.tabs.measuring import Measuring
 from tests.support.headless import wait_until
@@ -201,7 +201,7 @@ def test_read_outs_differ_so_that_the_watchdog_restarts(session: Session) -> Non
 def test_every_kind_of_plane_is_counted_and_in_the_legend(session: Session) -> None:
     telemetry = session.latest()
     assert telemetry.step is not None
-    legend = text(readouts.legend())
+    signs = text(legend.legend())
     for k, rule in enumerate(vf.Rule):
         m = k + 2
         planes = vf.Planes(
@@ -217,7 +217,7 @@ def test_every_kind_of_plane_is_counted_and_in_the_legend(session: Session) -> N
             readouts.readouts(replace(telemetry, step=step), session.options, extras(session))
         )
         assert f"{palette.LOOKS[rule].name}{m}" in table
-        assert palette.LOOKS[rule].name in legend
+        assert palette.LOOKS[rule].name in signs
 
 
 def test_triangles_within_reach_of_the_tips_ball_are_counted(session: Session) -> None:

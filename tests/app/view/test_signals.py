@@ -41,9 +41,9 @@ def surface() -> vf.Surface:
 def test_a_sample_has_the_ticks_values_in_the_plots_units(
     telemetry: list[Telemetry], surface: vf.Surface
 ) -> None:
-    assert signals.sample(replace(telemetry[0], step=None), surface) is None
+    assert signals.sample(replace(telemetry[0], step=None), [surface]) is None
     last = replace(telemetry[-1], stats=LoopStats(tick_median=40e-6, tick_worst=90e-6))
-    values = signals.sample(last, surface)
+    values = signals.sample(last, [surface])
     assert values is not None
     p = last.step.tip.translation
     true = trimesh.proximity.signed_distance(

@@ -131,7 +131,7 @@ def test_a_plant_made_from_its_description_ticks_the_same(scene: Scene) -> None:
     given = surfaces.share(scene.surface)
     there = surfaces.attach(given.memory.fd, given.pickled, given.places)
     given.memory.fd = -1  # it was handed over
-    description = surfaces.unpack(surfaces.pack(describe(plant)), there)
+    description = surfaces.unpack(surfaces.pack(describe(plant)), [there])
     other = assemble(description, load(description.robot))
     assert other.options == options
     assert other.surface is there
