@@ -231,9 +231,12 @@ MORE = {
         "warnings",
     },
     "tick/attempts": {"numba"},  # arrays in one block of memory
+    "tick/moving": {"numba"},
     "tick/report": {"numba"},
     "tick/search": {"numba"},
+    "tick/sweep": {"numba"},
     "tick/tick": {"numba"},
+    "tick/yielding": {"numba"},
     "qp/active_set": {"numba"},
 }
 

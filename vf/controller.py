@@ -123,8 +123,8 @@ class Controller:
         self._idle.flags.writeable = False
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
-        self._still = (None,) * len(self.fixtures)
-        self._moved: list[bool] = []  # which fixtures moved in the last tick; empty: none
+        self._moves = 0  # bits: which fixtures moved in the last tick
+        self._moved = (False,) * len(self.fixtures)
         self._tick = _COMPILED.tick
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
@@ -203,7 +203,7 @@ class Controller:
             goal = target.homogeneous if isinstance(target, pin.SE3) else _NO_POSE
         except Exception:  # a subclass, or an SE3 that was never initialised
             goal = _NO_POSE
-        if (motions is not None or self._moved) and not self._set_motions(motions):
+        if (motions is not None or self._moves) and not self._set_motions(motions):
             goal = _NO_POSE
         m = self._tick(block.address, q, goal, at.BEGIN)
         while m < 0:
@@ -220,26 +220,29 @@ class Controller:
 
     def _set_motions(self, motions: Sequence[Motion | None] | None) -> bool:
         """Write how the fixtures move; False, and all stand still: that is of no use."""
-        block = self._block
+        poses = self._block.poses
+        moves, bit, place = 0, 1, 0
         usable = True
         try:
-            given: tuple[Motion | None, ...] = self._still if motions is None else tuple(motions)
-        except Exception:  # an object may raise anything when iterated
-            given = ()
-        kinds = {type(motion) for motion in given}
-        if len(given) != len(self._still) or not kinds <= _MOTIONS:
-            given, usable = self._still, False
-        moves = []
-        place = 0
-        for motion in given:
-            moves.append(motion is not None)
-            if motion is not None:
-                block.poses[place : place + _POSES] = motion.packed
-            place += _MOTION
-        if moves != self._moved:
-            block.searches[:, at.MOVES] = moves
-            block.words[at.MOVING] = any(moves)
-            self._moved = moves if any(moves) else []
+            if motions is not None:
+                usable = len(motions) == len(self.fixtures)
+                for motion in motions:
+                    if type(motion) is Motion:
+                        poses[place : place + _POSES] = motion.packed
+                        moves |= bit
+                    elif motion is not None:
+                        usable = False
+                    bit <<= 1
+                    place += _MOTION
+        except Exception:  # an object may raise anything when iterated, or give too many
+            usable = False
+        if not usable:
+            moves = 0
+        if moves != self._moves:
+            self._moves = moves
+            self._moved = tuple(bool(moves >> f & 1) for f in range(len(self.fixtures)))
+            self._block.searches[:, at.MOVES] = self._moved
+            self._block.words[at.MOVING] = moves > 0
         return usable
 
     def _place(self, q: FloatArray) -> None:
@@ -271,7 +274,7 @@ class Controller:
         radius = float(block.numbers[at.SEARCHED])
         parts = []
         for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True)):
-            moves = bool(self._moved) and self._moved[f]
+            moves = self._moved[f]
             more = float(block.motions[f, at.MORE]) if moves else 0.0
             part = fixture.planes(self._seen(f), radius + more, s.standoff, s.tip_radius, within)
             if moves:
@@ -383,6 +386,5 @@ _COMPILED = _Compiled()
 _FLOAT = np.dtype(np.float64)
 _NO_POSE = np.full((4, 4), nan)
 _RECORD = 8 * at.PLANE  # bytes
-_MOTION, _POSES = 8 * at.MOTION, 8 * at.SPIN  # bytes
-_MOTIONS = {Motion, type(None)}
+_MOTION, _POSES = 8 * at.MOTION, 8 * at.MORE  # bytes
 _new_step = object.__new__

@@ -36,17 +36,22 @@ class Motion:
 
     __slots__ = ("packed", "record")
 
-    record: FloatArray  # (24,) rows of the rotation, then the translation, at start and end
+    # (26,) rows of the rotation, then the translation, at start and end; how far it turns [rad]
+    # and, a bound, its origin goes [m].
+    record: FloatArray
     packed: bytes  # of the record
 
     def __init__(self, start: pin.SE3, end: pin.SE3) -> None:
-        record = np.concatenate([_numbers("start", start), _numbers("end", end)])
-        R0, R1 = record[:9].reshape(3, 3), record[12:21].reshape(3, 3)
-        turn = float(np.arccos(np.clip(0.5 * (np.sum(R0 * R1) - 1.0), -1.0, 1.0)))
+        poses = np.concatenate([_numbers("start", start), _numbers("end", end)])
+        R0, R1 = poses[:9].reshape(3, 3), poses[12:21].reshape(3, 3)
+        turn = float(np.linalg.norm(pin.log3(R0.T @ R1)))
         if turn >= LARGEST_TURN:
             raise ValueError(
                 f"a structure must turn by less than {LARGEST_TURN:g} rad in a tick, got {turn:.3g}"
             )
+        # Of a constant twist the origin's path is longer than the way.
+        drift = float(np.linalg.norm(poses[21:] - poses[9:12])) * (1.0 + 0.25 * turn * turn)
+        record = np.concatenate([poses, [turn, drift]])
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
         object.__setattr__(self, "packed", record.tobytes())
@@ -60,7 +65,7 @@ class Motion:
 
     @property
     def end(self) -> pin.SE3:
-        return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:].copy())
+        return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:24].copy())
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Motion) and self.packed == other.packed
@@ -72,7 +77,7 @@ class Motion:
         return Motion, (self.start, self.end)
 
     def __repr__(self) -> str:
-        return f"Motion({self.record[9:12].tolist()} → {self.record[21:].tolist()} m)"
+        return f"Motion({self.record[9:12].tolist()} → {self.record[21:24].tolist()} m)"
 
 
 def _numbers(name: str, pose: Any) -> FloatArray:

@@ -20,7 +20,7 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit
-from vf.qp.problem import height, rotation_log
+from vf.qp.problem import height
 
 
 @njit(cache=True)
@@ -54,35 +54,6 @@ def carried(motion, x):  # type: ignore[no-untyped-def]
         py + (motion[at.TO + 10] - x[1]),
         pz + (motion[at.TO + 11] - x[2]),
     )
-
-
-@njit(cache=True)
-def set_motions(words):  # type: ignore[no-untyped-def]
-    """Compute how far each moving structure turns and its origin goes in the tick."""
-    fixtures = words[at.FIXTURES]
-    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
-    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
-    for f in range(fixtures):
-        if searches[f, at.MOVES] == 0:
-            continue
-        a, b = motions[f, at.FROM : at.FROM + 9], motions[f, at.TO : at.TO + 9]
-        x, y, z = rotation_log(
-            _entry(a, 0, b, 0), _entry(a, 0, b, 1), _entry(a, 0, b, 2),
-            _entry(a, 1, b, 0), _entry(a, 1, b, 1), _entry(a, 1, b, 2),
-            _entry(a, 2, b, 0), _entry(a, 2, b, 1), _entry(a, 2, b, 2),
-        )  # fmt: skip
-        spin = np.sqrt(x * x + y * y + z * z)
-        far = 0.0
-        for k in range(9, 12):
-            far += (motions[f, at.TO + k] - motions[f, at.FROM + k]) ** 2
-        motions[f, at.SPIN] = spin
-        motions[f, at.DRIFT] = np.sqrt(far) * (1.0 + 0.25 * spin * spin)
-
-
-@njit(cache=True)
-def _entry(a, i, b, j):  # type: ignore[no-untyped-def]
-    """Entry (i, j) of aᵀ b, two rotations as nine numbers."""
-    return a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j]
 
 
 @njit(cache=True)

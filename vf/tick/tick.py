@@ -18,7 +18,7 @@ from vf.qp.problem import JOINT_RANGE, desired_step, fill_rows, obeys, usable
 from vf.qp.solver import Solver
 from vf.tick.attempts import ask, bisect, next_attempt, set_trial, settle, shortened
 from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
-from vf.tick.moving import set_carries, set_motions
+from vf.tick.moving import set_carries
 from vf.tick.report import write_report
 from vf.tick.search import search_bodies, search_planes, set_radius, sides_known
 from vf.tick.sweep import ask_at_contacts
@@ -92,8 +92,6 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         words[at.YIELDS] = 0
         numbers[at.GIVEN_UP] = numbers[at.VIOLATION] = 0.0
         numbers[at.LEAST] = np.inf
-        if words[at.MOVING] > 0:
-            set_motions(words)
         if not sides_known(words, places[0]):
             return -at.SIDED
         phase = at.SIDED

@@ -14,9 +14,8 @@ import vf
 from tests.support import moving, naive
 from tests.support.ticks import UM, plate, pose
 from vf import Status
-from vf.layout import MOTION, MOVES, SPIN
-from vf.tick.block import Block
-from vf.tick.moving import bend, more_reach, set_motions
+from vf.layout import MORE, MOTION
+from vf.tick.moving import bend, more_reach
 
 STANDOFF = 20 * UM
 HERE = pin.SE3.Identity()
@@ -284,13 +283,8 @@ def test_what_motion_adds_to_a_path_and_to_the_ball_is_bounded() -> None:
             end = start * pin.SE3(pin.exp3(naive.unit(rng) * turn), np.zeros(3))
         x = start.translation + rng.normal(size=3) * 10 ** rng.uniform(-3, -1)
         y = x + rng.normal(size=3) * 10 ** rng.uniform(-5, -1.5)
-        record = np.zeros((1, MOTION))
-        record[0, :SPIN] = vf.Motion(start, end).record
-        block = Block(3, None, [None])
-        block.motions[:] = record
-        block.searches[0, MOVES] = 1
-        set_motions(block.words)
-        row = block.motions[0]
+        row = np.zeros(MOTION)
+        row[:MORE] = vf.Motion(start, end).record
         d = float(np.linalg.norm(y - x))
         most = bend(row, x, d)
         ball_ = d + more_reach(row, x, d)
