@@ -23,6 +23,7 @@ import vf
 from app.bench.tools import report
 from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
+from app.bench.tools.ratios import of_instrument, ratios
 from app.bench.tools.report import figure as draw
 from app.bench.tools.settings import Runtime
 from app.console import Column, show_table
@@ -120,8 +121,18 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         for rule in options.rules
         for surface in surfaces
     ]
+    # With the whole instrument guarded, on the largest mesh.
+    tools = [
+        replace(
+            cell,
+            controller=vf.Controller(arm, cell.controller.fixtures, vf.Settings(guard="tool")),
+            total=[], parts=[], planes=[], states=[], radii=[], tips=[], statuses=Counter(),
+        )
+        for cell in cells
+        if cell.rule == "certified" and cell.triangles == max(len(s.faces) for s in surfaces)
+    ]  # fmt: skip
     floor = _out_of_reach(arm)
-    for cell in (*cells, floor):
+    for cell in (*cells, *tools, floor):
         cell.spots = _spots_in_budget(cell, route, options)
     done = 0
     whole = True
@@ -130,7 +141,7 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
             say(f"pass {number + 1} of {options.passes}")
             for spot in range(len(route.starts)):
                 # All rows at one spot, every other time backwards: a change of load meets all.
-                for cell in (floor, *cells)[:: 1 if spot % 2 == 0 else -1]:
+                for cell in (floor, *cells, *tools)[:: 1 if spot % 2 == 0 else -1]:
                     if spot < cell.spots:
                         drive(cell, route, spot)
                 done += 1
@@ -139,10 +150,10 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         if done == 0:
             raise  # some rows have no samples yet
         whole = False
-        for cell in (*cells, floor):
+        for cell in (*cells, *tools, floor):
             cell.truncate()
     say("timing single stages")
-    rows = [summary(cell) for cell in cells]
+    rows, whole_tools = ([summary(cell) for cell in some] for some in (cells, tools))
     low, median, high = percentiles(np.array(floor.total) * 1e6)
     return {
         "what": "vf-sandbox bench runtime",
@@ -159,8 +170,9 @@ def run(options: Runtime, say: Say, advance: Callable[[float], None]) -> dict[st
         },
         "builds": builds,
         "rows": rows,
+        "whole instrument": whole_tools,
         "floor [us]": {"p1": low, "median": median, "p99": high},
-        "ratios": ratios(rows),
+        "ratios": ratios(rows) + of_instrument(rows, whole_tools),
         "interrupted": not whole,
     }  # fmt: skip
 
@@ -362,36 +374,3 @@ def _stages(cell: Cell, tips: list[FloatArray], radius: float) -> dict[str, floa
         "list of the ball": float(np.median(query)) * 1e6,
         "inside test": float(np.median(sides)) * 1e6,
     }
-
-
-def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Ratios of rates: largest to smallest mesh, and certified to paper's rule.
-
-    `without inside test` subtracts that test's time from the tick of the paper's rule: the paper
-    does not have it, and only a rule without the guarantee needs it in every tick.
-    """
-    result: list[dict[str, Any]] = []
-    table = {(row["rule"], row["radius [m]"], row["triangles"]): row for row in rows}
-    sizes = sorted({row["triangles"] for row in rows})
-    for rule, radius in dict.fromkeys((row["rule"], row["radius [m]"]) for row in rows):
-        small, large = table[rule, radius, sizes[0]], table[rule, radius, sizes[-1]]
-        result.append(
-            {
-                "what": f"{rule}: rate at {sizes[-1]:,} / at {sizes[0]:,}",
-                "radius [m]": radius,
-                "ratio": large["rate [kHz]"] / small["rate [kHz]"],
-            }
-        )
-    for radius in dict.fromkeys(row["radius [m]"] for row in rows):
-        ours, paper = (table.get((rule, radius, sizes[-1])) for rule in ("certified", "paper"))
-        if ours and paper:
-            bare = paper["tick [us]"]["median"] - paper["stages [us]"]["inside test"]
-            result.append(
-                {
-                    "what": f"certified / paper at {sizes[-1]:,}",
-                    "radius [m]": radius,
-                    "ratio": ours["rate [kHz]"] / paper["rate [kHz]"],
-                    "without inside test": bare / ours["tick [us]"]["median"],
-                }
-            )
-    return result

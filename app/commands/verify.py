@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -23,11 +23,11 @@ from app.words import OptionError, format_length
 if TYPE_CHECKING:
     from app.studies.verification.campaign import Cover, Drive
     from app.studies.verification.scenes import Scene
+    from meshes.builtin.shapes import Arrays
 
 PROGRAM = "vf-sandbox verify"
 PASSED, BROKEN = 0, 1
 DAMAGES = ("all", *choices.DAMAGES)
-PART = 10_000  # ticks or queries per call of the campaign
 LEAK_EDGES = (0.3, 1.0, 3.0)
 # Standoff and tip radius of the leak queries, in turn [m].
 LEAK_TOOLS = ((20e-6, 0.0), (0.0, 0.0), (1e-3, 0.0), (20e-6, 5e-4), (0.0, 1e-4))
@@ -45,9 +45,6 @@ COLUMNS = (
     "ticks", "crossed", "held", "shortened", "inside", "blocked", "planes", "tick µs",
     "queries", "leaked", "blocked", "budget spent",
 )  # fmt: skip
-
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,11 @@ class Verify(Checked):
         OneOf("damage", DAMAGES), "all",
         "Kind of damage done to the mesh first, none, or all: none and every kind in turn.",
     )  # fmt: skip
-    robot: str = like(Options, "robot", "point")
+    robot: str = option(
+        OneOf("robot", (*choices.ROBOTS, "all")), "point",
+        "Robot arm; all, with --guard: every arm and the point with a needle, --steps ticks with "
+        "the PSM and a tenth of them with each other.",
+    )  # fmt: skip
     rule: str = like(Options, "rule", about="Which planes guard the tool.")
     radius: tuple[float | None, ...] = option(
         Repeated(DECLARED["radius"].kind), (),
@@ -126,6 +127,8 @@ class Verify(Checked):
                 "guard: the whole instrument is verified with rule certified, without --outside "
                 "and --tip-radius"
             )
+        if self.robot == "all" and self.guard is None:
+            raise OptionError("robot all is of --guard tool and --guard tip")
         if self.mesh != "all":
             choices.check_mesh(self.mesh)
 
@@ -136,11 +139,11 @@ def run(options: Verify) -> int:
     import meshes
     import robots
     import vf
-    from app.studies.verification import campaign, instrument
+    from app.studies.verification import campaign
+    from app.studies.verification.guarded import parts
     from app.studies.verification.scenes import SCENES
     from meshes.builtin.damage import damage, kinds
 
-    arm = robots.load(options.robot)
     if options.mesh == "all":
         sources = {name: meshes.arrays(name) for name in meshes.names()}
         sources = {name: mesh for name, mesh in sources.items() if len(mesh[1]) <= 20_000}
@@ -148,11 +151,14 @@ def run(options: Verify) -> int:
         sources = {options.mesh: meshes.arrays(options.mesh, unit=options.unit)}
     damages = kinds() if options.damage == "all" else (options.damage,)
     radii: tuple[float | None, ...] = options.radius or (5e-4, 5e-3)
+    if options.guard is not None:
+        return _run_guarded(options, options.guard, sources, damages, radii, console)
+    arm = robots.load(options.robot)
 
     # Other rules than certified are tested with the mesh alone, so that they are comparable.
-    varied = options.rule == "certified" and not options.outside and options.guard is None
+    varied = options.rule == "certified" and not options.outside
     kinds_of_scene = SCENES if varied else SCENES[:1]
-    leak_tools = LEAK_TOOLS if varied or options.guard is not None else LEAK_TOOLS[:2]
+    leak_tools = LEAK_TOOLS if varied else LEAK_TOOLS[:2]
     cases = [(name, kind) for name in sources for kind in damages]
     share = -(-options.steps // (len(cases) * len(radii)))
     query_share = -(-options.queries // (len(cases) * len(LEAK_EDGES)))
@@ -169,21 +175,11 @@ def run(options: Verify) -> int:
                 mesh = damage(kind, sources[name], options.seed)
                 outside_of = vf.Surface.from_arrays(*sources[name]) if options.outside else None
                 here = found.setdefault((name, kind), Found([], [], []))
-                for k, radius, part, steps in _parts(radii, share):
+                for k, radius, part, steps in parts(radii, share):
                     scene = kinds_of_scene[(number + k) % len(kinds_of_scene)]
                     here.scenes.append(scene)
                     seed = options.seed + 1000 * number + k + 10**6 * part
                     noise = options.noise if (number + k) % 2 else 0.0
-                    if options.guard is not None:
-                        periods = instrument.PERIODS
-                        here.drives.append(
-                            instrument.drive(
-                                arm, mesh, guard=options.guard, radius=radius,
-                                period=periods[(number + k) % len(periods)], steps=steps,
-                                seed=seed, noise=noise, progress=lambda n: bar.advance(task, n),
-                            )
-                        )  # fmt: skip
-                        continue
                     here.drives.append(
                         campaign.drive(
                             arm, mesh, rule=options.rule, radius=radius, steps=steps,
@@ -191,18 +187,8 @@ def run(options: Verify) -> int:
                             outside_of=outside_of, progress=lambda n: bar.advance(task, n),
                         )
                     )  # fmt: skip
-                for k, edges, part, queries in _parts(LEAK_EDGES, query_share):
+                for k, edges, part, queries in parts(LEAK_EDGES, query_share):
                     standoff, tip_radius = leak_tools[(number + k) % len(leak_tools)]
-                    if options.guard is not None:
-                        here.covers.append(
-                            instrument.query(
-                                mesh, edges=edges, queries=queries,
-                                seed=options.seed + 1000 * number + k + 10**6 * part,
-                                standoff=standoff, thickness=tip_radius,
-                                progress=lambda n: bar.advance(task, n),
-                            )
-                        )  # fmt: skip
-                        continue
                     here.covers.append(
                         campaign.query(
                             mesh, rule=options.rule, edges=edges, queries=queries,
@@ -229,7 +215,6 @@ def run(options: Verify) -> int:
         [Column("mesh" if by_mesh else "damage", left=True), *(Column(name) for name in COLUMNS)],
         rows,
         title=f"rule {options.rule}, arm {options.robot}, seed {options.seed}, "
-        + ("" if options.guard is None else f"whole instrument, guard {options.guard}, ")
         + (f"damage {damages[0]}" if by_mesh else count(len(sources), "mesh", "meshes")),
     )
     if options.steps and varied:
@@ -243,10 +228,7 @@ def run(options: Verify) -> int:
         ]
         firsts += [cover.first for cover in f.covers if cover.first]
         complaints += [f"{name}, {kind}: {first}" for first in firsts]
-    for line in complaints[:10]:
-        console.print(line, soft_wrap=True)
-    if len(complaints) > 10:
-        console.print(f"… and {count(len(complaints) - 10, 'more place')}")
+    _show_places(complaints, console)
     crossings = sum(d.crossings for d in drives)
     leaks = sum(c.leaking for c in covers)
     console.print(
@@ -260,11 +242,64 @@ def run(options: Verify) -> int:
     return BROKEN if crossings or leaks else PASSED
 
 
-def _parts(kinds: Sequence[T], share: int) -> Iterator[tuple[int, T, int, int]]:
-    """(Index of the kind, the kind, index of the part, its length); an interrupt loses one part."""
-    for k, kind in enumerate(kinds):
-        for part, start in enumerate(range(0, share, PART)):
-            yield k, kind, part, min(PART, share - start)
+def _run_guarded(
+    options: Verify,
+    guard: str,
+    sources: dict[str, Arrays],
+    damages: Sequence[str],
+    radii: Sequence[float | None],
+    console: Console,
+) -> int:
+    """`run` with the whole instrument."""
+    import robots
+    from app.studies.verification import guarded
+
+    if options.robot == "all":
+        arms = guarded.all_arms(options.steps)
+    else:
+        arms = {options.robot: (robots.load(options.robot), options.steps)}
+    campaign = guarded.Campaign(
+        arms, sources, damages, radii, guard, options.queries, LEAK_TOOLS, options.noise,
+        options.seed,
+    )  # fmt: skip
+    found = guarded.Findings()
+    began = perf_counter()
+    stopped = False
+    bar = progress(counted=True)
+    try:
+        with bar:
+            task = bar.add_task("verify", total=campaign.work)
+            guarded.run(
+                campaign, found,
+                lambda case: bar.update(task, description=case),
+                lambda done: bar.advance(task, done),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        stopped = True
+    if stopped and not found.drives and not found.covers:
+        return interrupted(PROGRAM, "before anything was done")
+    title = (
+        f"whole instrument, guard {guard}, arm {options.robot}, seed {options.seed}, "
+        f"{count(len(sources), 'mesh', 'meshes')}, damage {options.damage}, radius "
+        + ", ".join(map(format_length, radii))
+    )
+    guarded.show(found, console, title)
+    _show_places(guarded.complaints(found), console)
+    console.print(
+        f"{count(found.crossings, 'crossing')}, {count(found.leaks, 'leak')}; "
+        f"{perf_counter() - began:.0f} s"
+    )
+    if stopped:
+        return interrupted(PROGRAM, "this is of what was done until then")
+    return BROKEN if found.crossings or found.leaks else PASSED
+
+
+def _show_places(complaints: Sequence[str], console: Console) -> None:
+    """Print where something got through, to repeat it."""
+    for line in complaints[:10]:
+        console.print(line, soft_wrap=True)
+    if len(complaints) > 10:
+        console.print(f"… and {count(len(complaints) - 10, 'more place')}")
 
 
 def _cells(found: list[Found]) -> list[str]:

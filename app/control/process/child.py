@@ -93,7 +93,6 @@ class Child:
         self._inbox = Inbox(Slot(memory.data[: Slot.SIZE]))
         self._queue = Queue(memory.data[Slot.SIZE :])
         self._surfaces: list[vf.Surface] = []  # those of the newest plant
-        self._coming: list[vf.Surface] = []  # those of the one that is announced
         self._loop: ControlLoop | None = None
         self._told: str = ""  # why to end
 
@@ -130,18 +129,15 @@ class Child:
         if kind == "warm":
             vf.Controller(robots.load("point"), [])  # compiles the kernels, or loads them
         elif kind == "surface":
-            known = fd is None
-            self._coming.append(
-                self._surfaces[rest[0]] if known else surfaces.attach(int(fd or 0), *rest)
-            )
+            assert fd is not None
+            place, *shared = rest
+            self._surfaces = [*self._surfaces[:place], surfaces.attach(fd, *shared)]
         elif kind == "plant":
             self._build(*rest)
         elif kind == "start":
             self._start(*rest)
 
     def _build(self, number: int, data: bytes) -> None:
-        if self._coming:
-            self._surfaces, self._coming = self._coming, []
         try:
             with Gaps(self._loop):
                 description = surfaces.unpack(data, self._surfaces)

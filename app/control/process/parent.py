@@ -237,12 +237,8 @@ class ControlProcess(Host):
             raise Refused(f"no shared memory for the mesh: {error}") from None
         with contextlib.suppress(OSError):  # the process ended: its orders wait
             if child.has != shared:
-                # Those that it has already are named by their place among them.
-                for one in shared:
-                    if one in child.has:
-                        child.channel.send("surface", child.has.index(one))
-                    else:
-                        child.channel.send("surface", one.pickled, one.places, fd=one.memory.fd)
+                for place, one in enumerate(shared):
+                    child.channel.send("surface", place, one.pickled, one.places, fd=one.memory.fd)
                 child.has = shared
             child.channel.send("plant", number, data)
         if self._running:

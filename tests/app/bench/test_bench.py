@@ -79,6 +79,9 @@ def test_runtime_reports_every_row_and_its_parts(tmp_path: Path) -> None:
     result = runtime.run(options, lambda _: None, shares.append)
     assert shares[-1] == 1.0
     rows = result["rows"]
+    table = {
+        r["radius [m]"]: r for r in rows if (r["rule"], r["triangles"]) == ("certified", 8_192)
+    }
     assert {(r["rule"], r["radius [m]"], r["triangles"]) for r in rows} == {
         (rule, radius, size)
         for rule in ("certified", "paper")
@@ -94,7 +97,20 @@ def test_runtime_reports_every_row_and_its_parts(tmp_path: Path) -> None:
         assert row["rate [kHz]"] == pytest.approx(1e3 / row["tick [us]"]["median"])
         assert sum(row["statuses"].values()) == row["ticks"]
         assert row["statuses"].get("refused", 0) == 0
-    assert len(result["ratios"]) == 4 + 2
+    tools = result["whole instrument"]
+    assert {(r["rule"], r["radius [m]"], r["triangles"]) for r in tools} == {
+        ("certified", radius, 8_192) for radius in (2e-3, None)
+    }
+    for row in tools:
+        assert row["ticks"] == 400
+        assert row["statuses"].get("held", 0) == 0
+        assert row["planes"]["mean"] > table[row["radius [m]"]]["planes"]["mean"]
+    assert len(result["ratios"]) == 4 + 2 + 2
+    ratio = result["ratios"][-2]
+    assert ratio["what"].startswith("tick of the whole instrument / of the tip at 8,192, ")
+    assert ratio["ratio"] == pytest.approx(
+        tools[0]["tick [us]"]["median"] / table[2e-3]["tick [us]"]["median"]
+    )
     floor = result["floor [us]"]
     assert 0.0 < floor["p1"] <= floor["median"] <= floor["p99"]
     assert floor["p1"] < min(row["tick [us]"]["median"] for row in rows)

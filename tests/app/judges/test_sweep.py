@@ -85,7 +85,7 @@ def test_a_needle_that_passes_a_sheet_between_two_clear_poses_is_seen() -> None:
     assert judge.clearance(q) == pytest.approx([np.hypot(0.01, 0.025), 0.01 - radius])
     (touch,) = judge.touches(q, q_new)
     assert (touch.capsule, touch.before) == (1, False)
-    assert touch.share == pytest.approx(0.5 * (0.01 - radius) / 0.01, abs=2.0 / sweep.PIECES)
+    assert touch.share == pytest.approx(0.5 * (0.01 - radius) / 0.01, abs=1e-6)
     # Up to there nothing is touched, nor by the tip below the sheet.
     assert not judge.touches(q, np.array([-radius - 1e-8, 0.0, 0.0]))
     (deep,) = judge.touches(np.array([-0.001, 0.0, 0.0]), q)
@@ -108,20 +108,6 @@ def test_an_arc_that_bulges_into_a_wall_is_seen_though_its_chord_is_clear() -> N
     assert not deepest.touches(q, q_new)
     deepest = judge_of(arm, np.array([0.0, 0.0, low + 1e-6]), np.eye(3))
     assert deepest.touches(q, q_new)
-
-
-@pytest.mark.parametrize("name", ["psm", "panda", "ur5"])
-def test_no_end_of_an_axis_is_faster_than_its_bound(name: str) -> None:
-    arm, rng = robots.load(name), np.random.default_rng(2)
-    judge = judge_of(arm, np.array([0.0, 0.0, 9.0]), np.eye(3))
-    for _ in range(50):
-        q = rng.uniform(arm.lower, arm.upper)
-        dq = rng.normal(size=len(q)) * rng.choice([1e-3, 0.3])
-        bounds = judge._speeds(q, dq)
-        for share in rng.uniform(size=8):
-            now, next_ = arm.axes(q + share * dq), arm.axes(q + (share + 1e-6) * dq)
-            fastest = np.linalg.norm(next_ - now, axis=2).max(axis=1) / 1e-6
-            assert (fastest <= bounds * (1.0 + 1e-6) + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", robots.names())

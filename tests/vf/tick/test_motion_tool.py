@@ -62,7 +62,9 @@ def campaign(seed: int, ticks: int, dt: float) -> dict[Status, int]:
         contacts += touched or bool((step.multipliers > 0.0).any())
         least = moving.capsules_clearance(arm, q, step.q, triangles, T, after)
         if step.status is Status.OVERTAKEN:
-            assert -min(least, 0.0) <= step.violation, f"{case}: {least}, {step.violation}"
+            # Of a body that overlaps when the tick begins the axis alone is promised.
+            if clear:
+                assert -min(least, 0.0) <= step.violation, f"{case}: {least}, {step.violation}"
             clear = clear and least > 0.0
         elif clear and step.status is not Status.INSIDE:
             assert least > 0.0, f"{case}: clearance {least}"
