@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 import robots
 import vf
@@ -93,3 +94,27 @@ def test_two_motions_are_equal_with_equal_margins() -> None:
     assert one != vf.Motion(HERE, HERE, 1e-3)
     assert one != vf.Motion(HERE, HERE)
     assert hash(one) == hash(pickle.loads(pickle.dumps(one)))
+
+
+def test_planes_are_those_of_a_fixture_with_margins_that_are_larger_by_it() -> None:
+    rng = np.random.default_rng(2)
+    solid = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
+    bumpy = solid.vertices * (1.0 + 0.03 * rng.normal(size=(len(solid.vertices), 1)))
+    surface = vf.Surface.from_arrays(bumpy, solid.faces)
+    own, added = rng.uniform(0.0, 1.5 * MM, len(bumpy)), 0.4 * MM
+    arm = robots.load("point")
+    one = vf.Controller(arm, [vf.MeshFixture(surface, margin=own)])
+    other = vf.Controller(arm, [vf.MeshFixture(surface, margin=own + added)])
+    several = 0
+    for _ in range(200):
+        x = rng.normal(size=3)
+        q = 0.01 * x / np.linalg.norm(x) * rng.uniform(1.15, 1.5)
+        a = one.step(q, pose(0.8 * q), [vf.Motion(HERE, HERE, added)])
+        b = other.step(q, pose(0.8 * q), [vf.Motion(HERE, HERE)])
+        # Of two triangles at the same distance, rounding may take the one or the other.
+        assert len(a.planes) == len(b.planes)
+        assert np.abs(a.planes.normals - b.planes.normals).max(initial=0.0) < 1e-6
+        assert np.abs(a.planes.offsets - b.planes.offsets).max(initial=0.0) < 1e-9
+        assert np.abs(a.q - b.q).max() < 1e-9
+        several += len(a.planes) > 1
+    assert several > 20
