@@ -17,6 +17,7 @@ from app.scenarios.staging import course
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from tests.support.brute import Oracle
+from tests.support.moving import axis_gap
 
 
 def rise(name: str, time: float) -> float:
@@ -34,9 +35,11 @@ class Played:
         seen: telemetry of every tick.
         tips: (n + 1, 3) the tip before and after every tick, as the true anatomy sees it [m].
         judge: of the anatomy at rest.
+        name: of the preset.
     """
 
     def __init__(self, name: str, rate: float) -> None:
+        self.name = name
         scenario = PRESETS[name]
         options = replace(scenario.options, rate=rate)
         self.scene: Scene = scenes.build(options, 1)
@@ -61,6 +64,19 @@ class Played:
     def statuses(self) -> list[vf.Status]:
         return [t.step.status for t in self.seen if t.step is not None]
 
+    def gaps(self, every: int) -> list[float]:
+        """Distances of the parts of the instrument from the true anatomy, in some ticks [m]."""
+        arm, found = self.scene.arm, []
+        for telemetry in self.seen[::every]:
+            axes = arm.axes(telemetry.q) - [0.0, 0.0, rise(self.name, telemetry.time)]
+            for capsule, (a, b) in zip(arm.capsules, axes, strict=True):
+                corners = self.judge.corners
+                near = np.linalg.norm(corners[:, 0] - 0.5 * (a + b), axis=1)
+                reach = 0.5 * np.linalg.norm(b - a) + 0.02
+                if (near < reach).any():
+                    found.append(axis_gap(corners[near < reach], a, b) - capsule.radius)
+        return found
+
     def depth(self, k: int) -> float:
         """How deep the tip is in the true anatomy after tick k − 1 [m]; 0: outside."""
         x = self.tips[k]
@@ -83,6 +99,7 @@ def test_with_the_margin_for_its_age_the_true_liver_is_never_touched(rate: float
     assert run.watch.contacts == 0
     assert run.watch.crossing is None
     assert vf.Status.OVERTAKEN not in run.statuses()
+    assert min(run.gaps(every=round(rate / 10.0))) > 0.0
     # The hand itself wants into it, and the liver did breathe.
     goals = np.array([t.target.translation for t in run.seen if t.target is not None])
     assert run.judge.crossings(goals) > 0
