@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, inf
 
 import numpy as np
@@ -38,6 +38,7 @@ class Belief:
         margin: how far a point of the structure can be from where it is believed [m].
         unpredicted: what the margin would be without the predictor [m].
         stale: whether the tool has to hold.
+        predicted: whether the pose is that of the predictor.
     """
 
     pose: pin.SE3
@@ -45,6 +46,7 @@ class Belief:
     margin: float
     unpredicted: float
     stale: bool
+    predicted: bool = False
 
 
 class Tracking:
@@ -109,11 +111,14 @@ class Tracking:
 
         So a sighting that arrives moves the belief between two ticks, not during one.
         """
-        seen = self.newest(end)
-        first = self.newest(start)
-        if seen is not None and first is not None and first.number > seen.number:
-            seen = first  # backwards in time
-        return self._believed(start, seen), self._believed(end, seen)
+        seen, earlier = self.newest(end), self.newest(start)
+        if seen is not None and earlier is not None and earlier.number > seen.number:
+            seen = earlier  # backwards in time
+        first, last = self._believed(start, seen), self._believed(end, seen)
+        if first.predicted != last.predicted:
+            # What is believed of the end holds for the tick.
+            first = replace(first, pose=last.pose, margin=last.margin, predicted=last.predicted)
+        return first, last
 
     def _believed(self, time: float, seen: Sighting | None) -> Belief:
         tracker = self._tracker
@@ -125,13 +130,32 @@ class Tracking:
         known = LARGEST_ERROR * tracker.noise
         pose, unpredicted = seen.pose, tracker.bound * age + known
         margin = unpredicted
+        predicted = False
         if tracker.predictor == "periodic":
-            before = self._between(time - tracker.period, seen.number)
-            if before is not None:
-                error = self._error(seen.number)
-                if error is not None and error < margin:
-                    pose, margin = before, error
-        return Belief(pose, age, margin, unpredicted, age > tracker.stale)
+            error = self._error(seen.number)
+            before = None if error is None else self._before(time, seen.number)
+            if error is not None and before is not None and error + before[1] < margin:
+                pose, margin, predicted = before[0], error + before[1], True
+        return Belief(pose, age, margin, unpredicted, age > tracker.stale, predicted)
+
+    def _before(self, time: float, last: int) -> tuple[pin.SE3, float] | None:
+        """Where the structure was a period before, and how far it can have gone since [m].
+
+        Where a sighting was lost, that is where it was at the last one before. So the margin grows
+        steadily while no prediction can be made, as without a predictor.
+        """
+        tracker = self._tracker
+        then = time - tracker.period
+        between = self._between(then, last)
+        if between is not None:
+            return between, 0.0
+        number = min(floor(then * tracker.rate + HAIR), last)
+        while number >= 0 and number > last - self._kept:
+            seen = self.sighting(number)
+            if seen is not None:
+                return seen.pose, tracker.bound * (then - seen.time)
+            number -= 1
+        return None
 
     def _between(self, time: float, last: int) -> pin.SE3 | None:
         """The pose at an earlier time, from the sightings around it up to a number."""

@@ -363,3 +363,15 @@ def test_a_file_of_poses_is_told_by_its_content(tmp_path: Path) -> None:
     table(path, 5.0)
     with pytest.raises(RecordingError, match=r"poses of '.*' are not those that were recorded"):
         rerun.first_difference(recording)
+
+
+def test_a_structure_that_gets_another_name_is_moved_on(tmp_path: Path) -> None:
+    folder = structured.balls(tmp_path / "balls")
+    wanted = structured.options(folder, motions=(replace(LIFT, of="nerve"),))
+    with Session(wanted) as running:
+        running.set_structure(2, name="facial nerve")
+        assert running.options.motions[0].of == "facial nerve"
+        running.change(robot="psm")
+        assert [course is not None for course in running.scene.courses] == [
+            False, False, True, False,
+        ]  # fmt: skip

@@ -126,3 +126,33 @@ def test_a_predictor_of_a_wrong_period_is_found_out_by_its_errors():
         belief = wrong.belief(t)
         assert belief.margin <= belief.unpredicted
         assert off(BREATH, belief.pose, t) <= belief.margin
+
+
+@pytest.mark.parametrize("predictor", ["off", "periodic"])
+def test_a_tick_begins_where_the_last_one_ended_but_for_what_arrived_in_between(predictor):
+    tracker = Tracker(20.0, 0.05, noise=1e-4, dropouts=0.2, predictor=predictor, period=4.0)
+    tracking = Tracking(BREATH.pose, tracker)
+    last, jumps, moved = None, 0, 0
+    for k in range(12_000):
+        start, end = tracking.during(k * 1e-3, (k + 1) * 1e-3)
+        assert end == tracking.belief((k + 1) * 1e-3)
+        # In the tick itself it only goes on as predicted, noise included.
+        length = float(np.linalg.norm(end.pose.translation - start.pose.translation))
+        assert length < 1e-4
+        moved += length > 0.0
+        if last is not None and start.pose != last.pose:
+            jumps += 1
+            # A sighting has arrived, or is there again of a period before.
+            assert end.age < last.age or end.predicted
+        last = end
+    assert (moved > 1000) == (predictor == "periodic")
+    assert 10 < jumps < 400
+
+
+def test_what_is_kept_of_the_past_has_an_end():
+    tracking = Tracking(BREATH.pose, Tracker(1000.0, 0.0, period=0.1, stale=0.1))
+    for k in range(12_000):
+        tracking.belief(k * 1e-3)
+    assert len(tracking._sightings) < 5000
+    again = Tracking(BREATH.pose, Tracker(1000.0, 0.0, period=0.1, stale=0.1))
+    assert tracking.belief(0.5).pose == again.belief(0.5).pose
