@@ -173,6 +173,23 @@ def test_a_late_tracker_with_a_true_bound_never_lets_the_tool_touch(tracked: Sce
     assert margins.max() == pytest.approx(LATE.bound * 0.06, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"noise": 2e-4, "dropouts": 0.5},
+        {"noise": 1e-4, "dropouts": 0.2, "predictor": "periodic", "period": 0.5},
+        {"rate": 7.0, "latency": 0.0, "seed": 3},
+    ],
+    ids=["noisy", "predicted", "rare"],
+)
+def test_nor_does_a_noisy_one_that_misses_much(changes: dict[str, Any]) -> None:
+    scene = scenes.build(options(tracker=replace(LATE, **changes)), 1)
+    run = Run(scene)
+    run.go(3000, deep(scene))
+    assert run.heights().min() > 0.0
+    assert vf.Status.OVERTAKEN not in {t.step.status for t in run.seen if t.step is not None}
+
+
 def test_with_a_bound_of_nothing_it_is_touched() -> None:
     """That the test above can fail."""
     scene = scenes.build(options(tracker=replace(LATE, bound=0.0)), 1)
