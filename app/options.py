@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import textwrap
+import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, field, make_dataclass
 from enum import Enum
@@ -313,9 +314,12 @@ def parse_as(
     for one in dataclasses.fields(kind):  # type: ignore[arg-type]
         value = one.default if default is None else getattr(default, one.name)
         fields.append((one.name, _for_tyro(options[one.name]), field(default=value)))
-    found: Any = tyro.cli(
-        make_dataclass(kind.__name__, fields), prog=program, description="", args=arguments
-    )
+    with warnings.catch_warnings():
+        # Of defaults that are records, whose type tyro does not know: it is checked here.
+        warnings.filterwarnings("ignore", message="The field", module="tyro")
+        found: Any = tyro.cli(
+            make_dataclass(kind.__name__, fields), prog=program, description="", args=arguments
+        )
     return kind(
         **{name: _read(name, entry, getattr(found, name)) for name, entry in options.items()}
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -256,7 +257,9 @@ def test_motions_and_tracker_are_given_on_the_command_line() -> None:
     )
     assert found.tracker == Tracker(20.0, latency=0.1, bound=0.02)
     assert found.margin == pytest.approx(0.002)
-    off = parse_as(Options, "test", ["--tracker", "off"], default=found)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        off = parse_as(Options, "test", ["--tracker", "off"], default=found)
     assert off.tracker is None
     assert off.motions == found.motions
 
