@@ -37,7 +37,7 @@ SCENARIOS = (
     "push-on-the-skull", "slide-into-the-orbit", "thin-plate-both-sides", "valley-of-the-gear",
     "saddle", "unclean-mesh-paper", "unclean-mesh-certified", "million-triangles",
     "through-the-fontanelle", "keyhole", "around-the-corner", "around-the-corner-tip-only",
-    "temporal-bone",
+    "temporal-bone", "breathing-liver", "breathing-liver-no-margin", "knock-on-the-table",
 )  # fmt: skip
 SKULLS = ("skull", "skull-coarse", "skull-fine")
 """Meshes of the cutting experiments."""

@@ -24,7 +24,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
-from app.kinds import Kind, Listed, Many, Repeated, Switch, shown
+from app.kinds import Kind, Listed, Many, Maybe, Repeated, Switch, bare, shown
 from app.words import OptionError
 
 T = TypeVar("T")
@@ -156,8 +156,9 @@ def plain(value: Any, kind: Kind) -> Any:
     """
     if isinstance(value, list):
         return tuple(plain(one, kind.of if isinstance(kind, Many) else kind) for one in value)
-    if isinstance(value, dict) and isinstance(kind, Record):
-        return kind.fields(check_keys("a record", value, declared(kind.of)))
+    one = bare(kind)
+    if isinstance(value, dict) and isinstance(one, Record):
+        return one.fields(check_keys("a record", value, declared(one.of)))
     return value
 
 
@@ -165,8 +166,9 @@ def plain(value: Any, kind: Kind) -> Any:
 class Record(Kind):
     """Values of a dataclass of options, in JSON an object that has what differs from the defaults.
 
-    On the command line, repeated (`Repeated`), the option's word is the first field, and the other
-    fields are options that follow it directly: ``--structure nerve.stl --margin 1mm --guard tip``.
+    On the command line, repeated (`Repeated`) or not (`Maybe`), the option's word is the first
+    field, and the other fields are options that follow it directly: ``--structure nerve.stl
+    --margin 1mm --guard tip``.
     """
 
     of: type
@@ -203,7 +205,8 @@ class Record(Kind):
         for key in found:
             if key not in known:
                 raise OptionError(f"unknown key {shown(key)}: choose from {', '.join(known)}")
-        if self.first not in found:
+        required = {one.name for one in dataclasses.fields(self.of) if one.default is MISSING}
+        if self.first in required and self.first not in found:
             raise OptionError(f'"{self.first}" is missing in {self.what}')
         values = {}
         for key, one in found.items():
@@ -238,9 +241,14 @@ class Record(Kind):
 def gathered(words: list[str], options: Mapping[str, Option]) -> list[str]:
     """The words of a command line with every record in one word, see `Record`."""
     records = {
-        f"--{entry.flag or name}": entry.kind.of
+        f"--{entry.flag or name}": entry.kind.of.of
         for name, entry in options.items()
-        if isinstance(entry.kind, Repeated) and isinstance(entry.kind.of, Record)
+        if isinstance(entry.kind, Repeated | Maybe) and isinstance(entry.kind.of, Record)
+    }
+    words_for_none = {
+        f"--{entry.flag or name}": entry.kind.word
+        for name, entry in options.items()
+        if isinstance(entry.kind, Maybe)
     }
     out: list[str] = []
     left = list(words)
@@ -250,12 +258,16 @@ def gathered(words: list[str], options: Mapping[str, Option]) -> list[str]:
         if kind is None or not (equals or left):
             out.append(f"{flag}{equals}{value}")
             continue
-        known = declared(kind.of)
-        found: dict[str, Any] = {kind.first: value if equals else left.pop(0)}
+        known = declared(kind)
+        first = next(iter(known))
+        found: dict[str, Any] = {first: value if equals else left.pop(0)}
+        if found[first] == words_for_none.get(flag):
+            out += [flag, found[first]]
+            continue
         while left:
             name, equals, value = left[0].removeprefix("--").partition("=")
             off = name.removeprefix("no-")
-            if not left[0].startswith("--") or off not in known or off == kind.first:
+            if not left[0].startswith("--") or off not in known or off == first:
                 break
             if isinstance(known[off].kind, Switch):
                 found[off] = name == off

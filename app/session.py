@@ -145,6 +145,14 @@ class Session(Driving):
         return self._watch.crossing
 
     @property
+    def contacts(self) -> int:
+        """Number of ticks, since then, in which the tip came to meet what is guarded, or crossed.
+
+        Of structures that move: where they truly are.
+        """
+        return self._watch.contacts
+
+    @property
     def unwatched(self) -> int:
         """Number of ticks that were not tested for a crossing; 0 in normal operation."""
         return self._watch.missed
@@ -277,6 +285,7 @@ class Session(Driving):
                     live = ", ".join(STRUCTURE_LIVE)
                     raise Refused(f"{name} is none of what is set of a structure: {live}")
             old = there[number - 1]
+            motions = self.options.motions
             try:
                 if changes.get("margin") is not None:
                     margin = bare(declared(Structure)["margin"].kind)
@@ -284,7 +293,11 @@ class Session(Driving):
                     changes["margin"] = margin.clamped("margin", changes["margin"])
                 new = replace(old, **changes)
                 structures = (*there[: number - 1], new, *there[number:])
-                options = replace(self.options, structures=structures)
+                if new.name != old.name:
+                    motions = tuple(
+                        replace(one, of=new.name) if one.of == old.name else one for one in motions
+                    )
+                options = replace(self.options, structures=structures, motions=motions)
                 if (new.margin, new.guard, new.guarded) != (old.margin, old.guard, old.guarded):
                     self._writer.write(plant=scenes.plant(self.scene, options))
             except ValueError as error:
@@ -336,7 +349,7 @@ class Session(Driving):
                 options = scenes.settled(replace(self.options, **wanted), new)
                 plant = scenes.plant(new, options)
                 self.master.hold()
-                self._command(autopilot=False, plant=plant)
+                self._command(autopilot=False, plant=plant, moving=True, pace=1.0)
                 self.scene, self.options = new, options
                 self._loop.wait_for_scene(new.version)
                 self._remap()

@@ -30,6 +30,7 @@ from app.kinds import (
     Whole,
     bare,
 )
+from app.motion.declared import KINDS, Motion, Tracker
 from app.options import Checked, Record, Scope, declared, option
 from app.words import OptionError
 
@@ -169,6 +170,20 @@ class Options(Checked):
         "Without --mesh the first structure is the mesh.",
         Scope.MESH, flag="structure",
     )  # fmt: skip
+    motions: tuple[Motion, ...] = option(
+        Repeated(Record(Motion, "a motion")), (),
+        f"A motion of structures: {', '.join(KINDS)}. May be repeated. What follows it directly is "
+        "of this motion: --move, --turn, --period, --after, --file, --of with the name of a "
+        "structure, else all move.",
+        Scope.MESH, flag="motion",
+    )  # fmt: skip
+    tracker: Tracker | None = option(
+        Maybe(Record(Tracker, "a tracker"), "off"), None,
+        "How often a tracker sees moving structures [Hz]; off: the guard knows where they are. "
+        "What follows it directly is of the tracker: --latency, --noise, --dropouts, --bound, "
+        "--predictor, --period, --stale, --seed.",
+        Scope.MESH,
+    )  # fmt: skip
     margin: float = option(
         Length(0.0, 0.05), 0.0,
         "Distance the tool keeps from the mesh beyond the standoff. After --structure: from that.",
@@ -269,6 +284,8 @@ class Options(Checked):
         super().__post_init__()
         if len(self.structures) > MOST:
             raise OptionError(f"structures are {len(self.structures)}: at most {MOST} are guarded")
+        if len(self.motions) > MOST:
+            raise OptionError(f"motions are {len(self.motions)}: there may be {MOST} at most")
 
     @cached_property
     def anatomy(self) -> tuple[Structure, ...]:

@@ -146,13 +146,16 @@ MARGIN = 4  # [m], where it is the same for the whole surface
 SIDE = 5
 
 # How a fixture moves: its pose at the start and at the end of the tick, each the rows of the
-# rotation and then the translation, how far it turns [rad], and its origin goes, a bound [m].
+# rotation and then the translation, how far it turns [rad], and its origin goes, a bound [m]; what
+# is added to its margins, and how much of that is new [m].
 FROM = 0
 TO = 12
 SPIN = 24
 DRIFT = 25
-MORE = 26  # by how much the ball to search for the tip is larger in its frame [m]
-MOTION = 27
+ADDED = 26
+GROWTH = 27
+MORE = 28  # by how much the ball to search for the tip is larger in its frame [m]
+MOTION = 29
 
 # Numbers of a guarded point.
 ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from vf.planes import LARGEST, FloatArray, Planes
+from vf.planes import LARGEST, FloatArray, Planes, checked_length
 
 # A rotation may be off orthonormal by this; it is made orthonormal where it is off by more than
 # rounding.
@@ -28,20 +28,25 @@ class Motion:
 
     Args:
         start, end: T_base_structure at the start and at the end of the tick.
+        margin: added to the margins of the fixture in this tick [m], as for a structure whose
+            place is known to within that length. The certified rule alone uses it.
+        growth: of the margin since the last tick [m]: the tool is led out by that much faster.
 
     Raises:
         ValueError: not a pose, not finite, too far from the base, its rotation is not one, or from
-            start to end it turns by 3 rad or more.
+            start to end it turns by 3 rad or more, or margin or growth is no length.
     """
 
     __slots__ = ("packed", "record")
 
-    # (26,) rows of the rotation, then the translation, at start and end; how far it turns [rad]
-    # and, a bound, its origin goes [m].
+    # (28,) rows of the rotation, then the translation, at start and end; how far it turns [rad]
+    # and, a bound, its origin goes [m]; margin and growth [m].
     record: FloatArray
     packed: bytes  # of the record
 
-    def __init__(self, start: pin.SE3, end: pin.SE3) -> None:
+    def __init__(
+        self, start: pin.SE3, end: pin.SE3, margin: float = 0.0, growth: float = 0.0
+    ) -> None:
         poses = np.concatenate([_numbers("start", start), _numbers("end", end)])
         R0, R1 = poses[:9].reshape(3, 3), poses[12:21].reshape(3, 3)
         turn = float(np.linalg.norm(pin.log3(R0.T @ R1)))
@@ -51,7 +56,8 @@ class Motion:
             )
         # Of a constant twist the origin's path is longer than the way.
         drift = float(np.linalg.norm(poses[21:] - poses[9:12])) * (1.0 + 0.25 * turn * turn)
-        record = np.concatenate([poses, [turn, drift]])
+        margins = [checked_length("margin", margin), checked_length("growth", growth)]
+        record = np.concatenate([poses, [turn, drift], margins])
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
         object.__setattr__(self, "packed", record.tobytes())
@@ -67,6 +73,14 @@ class Motion:
     def end(self) -> pin.SE3:
         return pin.SE3(self.record[12:21].reshape(3, 3).copy(), self.record[21:24].copy())
 
+    @property
+    def margin(self) -> float:
+        return float(self.record[26])
+
+    @property
+    def growth(self) -> float:
+        return float(self.record[27])
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Motion) and self.packed == other.packed
 
@@ -74,7 +88,7 @@ class Motion:
         return hash(self.packed)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Motion, (self.start, self.end)
+        return Motion, (self.start, self.end, self.margin, self.growth)
 
     def __repr__(self) -> str:
         return f"Motion({self.record[9:12].tolist()} → {self.record[21:24].tolist()} m)"

@@ -15,10 +15,13 @@ from app.control.autopilot import Script
 from app.control.messages import Command, LoopStats, Telemetry
 from app.devices import protocols
 from app.devices.simulated import SimulatedArm
+from app.motion.course import Course
+from app.motion.movement import Movement
 from app.settings import Options, Structure
 from robots import Arm
 
 log = logging.getLogger(__name__)
+Told = tuple[list[vf.Motion | None], ...]  # of `vf.Controller.step`; empty: nothing moves
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Plant:
         options: the settings it was made with.
         scene_options: the settings its scene was built with, which may differ from `options`.
         structures: the surfaces beside the anatomy, arm base frame, as in `options`.
+        courses: how each of these moves, the anatomy first; None: it stands still. Empty: all do.
     """
 
     arm: Arm
@@ -54,6 +58,7 @@ class Plant:
     options: Options
     scene_options: Options
     structures: tuple[vf.Surface, ...] = ()
+    courses: tuple[Course | None, ...] = ()
 
     @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
@@ -65,8 +70,19 @@ class Plant:
         """The structures that are guarded, in the order of the controller's fixtures."""
         return guarded(self.options, self.surfaces)
 
+    def movement(self) -> Movement:
+        """How the structures move; for one thread."""
+        return Movement(self.courses, self.scene_options.tracker)
+
+    def motions(self, of_structures: Sequence[vf.Motion | None]) -> list[vf.Motion | None]:
+        """One for each of the controller's fixtures, from those of all structures."""
+        pairs = zip(self.options.anatomy, of_structures, strict=True)
+        found = [motion for own, motion in pairs if own.guarded]
+        # A corridor lies on the mesh.
+        return found + [of_structures[0]] * (len(self.controller.fixtures) - len(found))
+
     def is_free(self, p_base: NDArray[np.float64]) -> bool:
-        """Whether a tip at p_base (3,) is outside of all that is guarded, and clear of it."""
+        """Whether a tip at p_base (3,) is outside of all that is guarded and rests, and clear."""
         return all(is_free(one, p_base, self.clearance) for _, one in self.guarded)
 
 
@@ -76,7 +92,8 @@ class Orders:
 
     `steps` and `resets` are running totals: the engine compares them with what it has done, so it
     may miss intermediate values. The engine does not use `scale` and `lock_orientation`, which map
-    the handle to the target; they are here to be recorded.
+    the handle to the target; they are here to be recorded. While `moving`, the structures that have
+    a motion move on, at `pace` times their speed; so does the time of their tracker.
     """
 
     plant: Plant
@@ -87,6 +104,8 @@ class Orders:
     autopilot: bool = False
     scale: float = 1.0
     lock_orientation: bool = False
+    moving: bool = True
+    pace: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -102,6 +121,7 @@ class State:
         target: the proxy of the last tick.
         stale: whether the last tick held because the command was too old.
         step: the controller's last result.
+        phase: time of the motion of structures [s].
     """
 
     q: NDArray[np.float64]
@@ -112,6 +132,7 @@ class State:
     target: pin.SE3 | None
     stale: bool
     step: vf.Step | None = None
+    phase: float = 0.0
 
 
 def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) -> bool:
@@ -158,6 +179,9 @@ class Engine:
         self._failed = False
         self._known = True  # whether the arm's joints are known
         self._origin: pin.SE3 | None = None  # the tip's pose when the last tick began
+        self._movement = self._plant.movement()
+        self._phase = self._phase_before = 0.0
+        self._lost = False
         self.failures = 0  # ticks in which the controller raised: the tool holds, status HELD
         if state is not None:
             self._tick = state.tick
@@ -167,6 +191,7 @@ class Engine:
             self._target = state.target
             self._stale = state.stale
             self._step = state.step
+            self._phase = self._phase_before = state.phase
         self._tip: pin.SE3 = self._plant.arm.tip(self._q)
 
     @property
@@ -181,6 +206,7 @@ class Engine:
             target=self._target,
             stale=self._stale,
             step=self._step,
+            phase=self._phase,
         )
 
     @property
@@ -215,7 +241,8 @@ class Engine:
             self._run(orders)
         elif moved:
             self._target = None
-            self._hold()  # paused: compute the planes of the new plant, move nothing
+            # Paused: compute the planes of the new plant, move nothing.
+            self._hold(self._told(0.0), yields=False)
         return self.look(orders, stats), ticks
 
     def look(self, orders: Orders, stats: LoopStats) -> Telemetry:
@@ -233,6 +260,9 @@ class Engine:
             autopilot=orders.autopilot,
             stale=self._stale,
             origin=self._origin,
+            phase=self._phase,
+            phase_before=self._phase_before,
+            lost=self._lost,
         )
 
     def _adopt(self, orders: Orders) -> bool:
@@ -244,6 +274,7 @@ class Engine:
             self._resets = orders.resets
             self._move_to(_frozen(new.q0))
             self._autopilot_since = None
+            self._phase = self._phase_before = 0.0
         elif new.scene != old.scene:
             self._measure()
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
@@ -254,6 +285,9 @@ class Engine:
             ):
                 self._move_to(_frozen(new.q0))
             self._autopilot_since = None
+            self._phase = self._phase_before = 0.0
+        if new.scene != old.scene:
+            self._movement = new.movement()
         self._plant = new
         self._tip = new.arm.tip(self._q)
         self._failed = False
@@ -274,7 +308,8 @@ class Engine:
 
     def _run(self, orders: Orders) -> None:
         plant, command = self._plant, orders.command
-        self._stale = False
+        self._stale = self._lost = False
+        motions = self._told(orders.pace if orders.moving else 0.0)
         if orders.autopilot:
             if self._autopilot_since is None:
                 self._autopilot_since = self._tick
@@ -282,13 +317,15 @@ class Engine:
         else:
             self._stale = command.held and self._silent * plant.dt > plant.stale_after
             self._target = None if command.clutch or self._stale else command.target
+        if self._lost:
+            self._target = None
         self._tick += 1
         self._origin = self._tip
         if self._target is None or not self._known:
-            self._hold()
+            self._hold(motions)
             return
         try:
-            step = plant.controller.step(self._q, self._target)
+            step = plant.controller.step(self._q, self._target, *motions)
         except Exception:
             self._fail()
             return
@@ -296,14 +333,41 @@ class Engine:
         self._step = step
         self._tip = step.tip
 
-    def _hold(self) -> None:
-        """Compute planes and distance at the tip without moving: zero force, the same joints."""
+    def _told(self, pace: float) -> Told:
+        """Let the structures move for a tick; returns what the controller is told of it."""
+        if not self._movement.moves:
+            return ()
+        before = self._phase_before = self._phase
+        self._phase = before + pace * self._plant.dt
+        try:
+            told = self._movement.during(before, self._phase)
+        except Exception:
+            self._lost = True  # where they are is not known
+            if not self._failed:
+                self._failed = True
+                log.exception("the motion of structures could not be computed; the tool holds")
+            return ()
+        self._lost = told.stale
+        return (self._plant.motions(told.motions),)
+
+    def _hold(self, motions: Told = (), yields: bool = True) -> None:
+        """Compute planes and distance at the tip without moving: zero force, the same joints.
+
+        But a tool that structures come to yields, if it may.
+        """
         plant = self._plant
         try:
             tip = plant.arm.tip(self._q)
-            step = plant.controller.step(self._q, tip)
+            step = plant.controller.step(self._q, tip, *motions)
         except Exception:
             self._fail()
+            return
+        if motions and yields and self._known and step.status is not vf.Status.REFUSED:
+            self._move_to(_frozen(step.q))
+            self._tip = step.tip
+            held = (self._stale or self._lost) and step.status is not vf.Status.OVERTAKEN
+            status = vf.Status.HELD if held else step.status
+            self._step = step.held(self._q, step.tip, status)
             return
         # The recovery from below the standoff must not move a tool that is told to hold.
         obeyed = self._known and not self._stale

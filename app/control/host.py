@@ -89,7 +89,7 @@ class Host(ABC):
         if orders.resets != seen.resets or orders.plant.scene != seen.plant.scene:
             # What was ordered meanwhile: the tool is put to the start.
             start = orders.plant.q0
-            state = replace(state, q=start, target=None, autopilot_since=None, step=None)
+            state = replace(state, q=start, target=None, autopilot_since=None, step=None, phase=0.0)
         return state
 
     def _fail(self, why: str) -> None:

@@ -57,6 +57,10 @@ class Telemetry:
         sequence: of the newest command seen.
         origin: pose of the tip when the tick began, `step.tip` of the one before but for a reset or
             a change of scene in between; None: not known.
+        phase: time of the motion of structures at the end of the tick [s], see
+            `app.motion.movement`.
+        phase_before: at its start [s].
+        lost: whether the tool held because a structure was last seen too long ago.
     """
 
     tick: int
@@ -71,3 +75,6 @@ class Telemetry:
     autopilot: bool
     stale: bool
     origin: pin.SE3 | None = None
+    phase: float = 0.0
+    phase_before: float = 0.0
+    lost: bool = False

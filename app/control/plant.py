@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 import vf
 from app.control.autopilot import Script
 from app.control.engine import Plant, guarded
+from app.motion.course import Course
 from app.settings import Options
 from robots import Arm
 
@@ -34,6 +35,7 @@ class Description:
     options: Options
     scene_options: Options
     structures: tuple[vf.Surface, ...] = ()
+    courses: tuple[Course | None, ...] = ()
 
     @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
@@ -53,6 +55,7 @@ def describe(plant: Plant) -> Description:
         options=plant.options,
         scene_options=plant.scene_options,
         structures=plant.structures,
+        courses=plant.courses,
     )
 
 
@@ -98,6 +101,7 @@ def assemble(description: Description, arm: Arm) -> Plant:
         options=options,
         scene_options=description.scene_options,
         structures=description.structures,
+        courses=description.courses,
     )
 
 

@@ -1,19 +1,27 @@
-"""Tests every tick for a crossing of the anatomy by the tip, independently of rule and planes."""
+"""Tests every tick for a crossing of the anatomy by the tip, independently of rule and planes.
+
+Of anatomy that moves: where it truly is, whatever the guard believes. The tip's path is seen from
+the moving structure.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
+import vf
 from app.control.engine import Orders, Plant
 from app.control.messages import Telemetry
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.judges.meeting import Meeting, first_meeting
+from app.motion.movement import Movement
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +40,7 @@ class Crossing:
         triangle: the triangle met, the caller's index.
         point: (3,) where, arm base frame [m].
         before: (3,) the tip's centre at the start of that tick, before the crossing [m].
+        phase: of the motion of structures at the end of that tick [s].
         centre: whether the tip's centre crossed the triangle; False: only its ball (of the tip
             radius) overlapped the triangle.
         structure: name of the structure whose triangle it is.
@@ -45,6 +54,7 @@ class Crossing:
     before: NDArray[np.float64]
     centre: bool
     structure: str = ""
+    phase: float = 0.0
 
 
 class Watch:
@@ -56,12 +66,15 @@ class Watch:
     Attributes:
         crossing: the first one since the last reset or change of scene; None: none. A crossing of
             the centre replaces an overlap of the ball.
+        contacts: in how many ticks since then the tip came to meet what is guarded, or crossed it.
         missed: ticks that were not tested because the queue was full.
     """
 
     def __init__(self) -> None:
         self.crossing: Crossing | None = None
+        self.contacts = 0
         self.missed = 0
+        self._movement: tuple[int, Movement] | None = None  # and the scene it is of
         self._queue: deque[tuple[Orders, Telemetry, bool]] = deque()
         self._newest: Orders | None = None
         self._episode: tuple[int, int] | None = None  # resets and scene of the current batch
@@ -103,7 +116,7 @@ class Watch:
                 # A reset or a new scene clears the crossing.
                 self._judge(batch)
                 batch = []
-                self._episode, self.crossing = episode, None
+                self._episode, self.crossing, self.contacts = episode, None, 0
             if batch and batch[-1][0].plant is not orders.plant:
                 self._judge(batch)
                 batch = []
@@ -112,32 +125,64 @@ class Watch:
         self._judge(batch)
 
     def _judge(self, batch: list[tuple[Orders, Telemetry]]) -> None:
-        """Find the first meeting in ticks of one plant."""
-        known = self.crossing
-        if not batch or (known is not None and known.centre):
+        """Find the meetings in ticks of one plant."""
+        if not batch:
             return
         plant = batch[0][0].plant
-        starts = np.array([t.origin.translation for _, t in batch if t.origin is not None])
-        ends = np.array([t.step.tip.translation for _, t in batch if t.step is not None])
-        radius = 0.0 if known is not None else plant.options.tip_radius
-        while (found := _first(plant, starts, ends, radius)) is not None:
-            name, met = found
+        ways = self._ways(plant, [telemetry for _, telemetry in batch])
+        radius = plant.options.tip_radius
+        met_in: set[int] = set()
+        for way in ways:
+            met_in |= way.meetings(radius)
+        self.contacts += len(met_in)
+        known = self.crossing
+        if not met_in or (known is not None and known.centre):
+            return
+        radius = 0.0 if known is not None else radius
+        while (found := _first(ways, radius)) is not None:
+            way, met = found
             telemetry = batch[met.segment][1]
+            assert telemetry.origin is not None
             self.crossing = Crossing(
                 tick=telemetry.tick,
                 scene=plant.scene,
                 rule=plant.options.rule,
                 triangle=met.triangle,
-                point=met.point,
-                before=starts[met.segment],
+                point=way.placed(met),
+                before=np.array(telemetry.origin.translation),
                 centre=met.centre,
-                structure=name,
+                structure=way.name,
+                phase=telemetry.phase,
             )
             if met.centre:
                 return
             # Only the ball met it: look for a crossing of the centre.
-            starts, ends = starts[met.segment :], ends[met.segment :]
+            ways = [one.since(met.segment) for one in ways]
             batch, radius = batch[met.segment :], 0.0
+
+    def _ways(self, plant: Plant, ticks: list[Telemetry]) -> list[_Way]:
+        """The tip's way in these ticks of a plant, for each structure that is guarded."""
+        if self._movement is None or self._movement[0] != plant.scene:
+            self._movement = plant.scene, plant.movement()
+        movement = self._movement[1]
+        starts = np.array([t.origin.translation for t in ticks if t.origin is not None])
+        ends = np.array([t.step.tip.translation for t in ticks if t.step is not None])
+        if not movement.moves:
+            return [_Way(str(own.name), one, starts, ends) for own, one in plant.guarded]
+        phases = np.array([[t.phase_before, t.phase] for t in ticks])
+        poses = [[movement.truth(phase) for phase in pair] for pair in phases]
+        ways = []
+        for k, (own, surface) in enumerate(zip(plant.options.anatomy, plant.surfaces, strict=True)):
+            if not own.guarded:
+                continue
+            before, after = [pair[0][k] for pair in poses], [pair[1][k] for pair in poses]
+            ways.append(
+                _Way(
+                    str(own.name), surface, _seen_from(before, starts), _seen_from(after, ends),
+                    after,
+                )
+            )  # fmt: skip
+        return ways
 
     def _run(self) -> None:
         # Like the page's threads, it must not be preempted while it holds the interpreter lock.
@@ -151,13 +196,58 @@ class Watch:
         self.look()
 
 
-def _first(
-    plant: Plant, starts: NDArray[np.float64], ends: NDArray[np.float64], radius: float
-) -> tuple[str, Meeting] | None:
-    """The first meeting with any structure that is guarded, and its name; None: there is none."""
-    first: tuple[str, Meeting] | None = None
-    for own, surface in plant.guarded:
-        met = first_meeting(surface, starts, ends, radius)
+@dataclass(frozen=True)
+class _Way:
+    """The tip's way, as a structure sees it.
+
+    Attributes:
+        name: of the structure.
+        starts, ends: (n, 3) of the tip in every tick, in the frame in which the structure rests.
+        poses: T_rest_now of the structure at the end of each; empty: it stands still.
+    """
+
+    name: str
+    surface: vf.Surface
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    poses: Sequence[pin.SE3 | None] = ()
+
+    def since(self, tick: int) -> _Way:
+        """From that tick on."""
+        return replace(
+            self, starts=self.starts[tick:], ends=self.ends[tick:], poses=self.poses[tick:]
+        )
+
+    def meetings(self, radius: float) -> set[int]:
+        """All ticks in which a tip of this radius [m] comes to meet the structure."""
+        found: set[int] = set()
+        first = 0
+        while first < len(self.starts):
+            met = first_meeting(self.surface, self.starts[first:], self.ends[first:], radius)
+            if met is None:
+                break
+            first += met.segment
+            found.add(first)
+            first += 1
+        return found
+
+    def placed(self, met: Meeting) -> NDArray[np.float64]:
+        """(3,) where it met the structure, base frame."""
+        pose = self.poses[met.segment] if self.poses else None
+        return met.point if pose is None else np.asarray(pose.act(met.point))
+
+
+def _seen_from(poses: Sequence[pin.SE3 | None], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3), each in the frame of its pose."""
+    pairs = zip(poses, points, strict=True)
+    return np.array([x if pose is None else pose.actInv(x) for pose, x in pairs])
+
+
+def _first(ways: Sequence[_Way], radius: float) -> tuple[_Way, Meeting] | None:
+    """The first meeting with any structure that is guarded; None: there is none."""
+    first: tuple[_Way, Meeting] | None = None
+    for way in ways:
+        met = first_meeting(way.surface, way.starts, way.ends, radius)
         if met is not None and (first is None or met.segment < first[1].segment):
-            first = str(own.name), met
+            first = way, met
     return first

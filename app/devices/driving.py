@@ -14,10 +14,13 @@ from app.control.autopilot import Script
 from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
 from app.devices.page import PageMaster, checked_pose
+from app.kinds import Number
 from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+
+PACE = Number(0.0, 2.0)  # of the motion of structures
 
 
 class Driving(ABC):
@@ -127,6 +130,34 @@ class Driving(ABC):
             elif target is not None:
                 self.master.place(target)
             self._command(autopilot=on)
+
+    def move_structures(self, on: bool | None = None, pace: float | None = None) -> None:
+        """Let the structures that have a motion move or rest where they are; set their pace.
+
+        Args:
+            on: None: as before.
+            pace: seconds of motion, and of its tracker, per second, 0 to 2; None: as before.
+
+        Raises:
+            Refused: a pace that is no such number.
+        """
+        changes: dict[str, Any] = {}
+        if on is not None:
+            changes["moving"] = bool(on)
+        if pace is not None:
+            try:
+                PACE.check("pace", pace)
+            except ValueError as error:
+                raise Refused(str(error)) from None
+            changes["pace"] = float(pace)
+        with self._writer.exclusive():
+            self._writer.write(**changes)
+
+    @property
+    def motion(self) -> tuple[bool, float]:
+        """Whether structures move, and at what pace, see `move_structures`."""
+        orders = self._writer.orders
+        return orders.moving, orders.pace
 
     def put(self, proxy: pin.SE3) -> None:
         """Set the pose of proxy and handle; ends the autopilot.

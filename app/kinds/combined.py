@@ -25,7 +25,7 @@ class Maybe(Kind):
             self.of.check(name, value)
 
     def from_json(self, value: Any) -> Any:
-        if value is None and not self.word:
+        if value == (self.word or None):
             return None
         if type(value) not in self.of.json:
             raise OptionError(f"must be {self.wanted}")

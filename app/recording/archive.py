@@ -25,6 +25,8 @@ from app.recording.format import (
     ROWS,
     Recording,
     RecordingError,
+    blank,
+    columns,
 )
 
 VERSION = 1
@@ -76,7 +78,8 @@ class _Reader:
         for k, n in enumerate(chunks):
             rows[at : at + n] = self._table(f"rows/{k:05d}", ROWS, n)
             at += n
-        expected = 1 + len(ORDERS.names or ()) + len(chunks) * len(ROWS.names or ())
+        each = len(columns(ROWS, VERSION))
+        expected = 1 + len(columns(ORDERS, VERSION)) + len(chunks) * each
         if len(self._members) != expected:
             raise RecordingError("it has members that a recording does not have")
         recording = Recording(
@@ -101,8 +104,8 @@ class _Reader:
         return self._archive.read(info)
 
     def _table(self, folder: str, dtype: np.dtype[Any], n: int) -> NDArray[Any]:
-        table = np.zeros(n, dtype=dtype)
-        for name in dtype.names or ():
+        table = blank(dtype, VERSION, n)
+        for name in columns(dtype, VERSION):
             column = dtype[name]
             member = f"{folder}/{name}.npy"
             data = self._bytes(member, n * column.itemsize + 1024)

@@ -19,17 +19,19 @@ def check(recording: Recording) -> None:
     orders, rows = recording.orders, recording.rows
     if len({options.rate for _, options in recording.plants}) != 1:
         raise RecordingError("the rate changes within the recording")
-    for name in ("target", "rotation", "stamp", "scale"):
+    for name in ("target", "rotation", "stamp", "scale", "pace"):
         _all(np.isfinite(orders[name]), f"orders/{name}", "is not finite")
     scale = number("scale")
     within = (orders["scale"] >= scale.low) & (orders["scale"] <= scale.high)
     _all(within, "orders/scale", "is out of range")
+    _all((orders["pace"] >= 0.0) & (orders["pace"] <= 2.0), "orders/pace", "is out of range")
+    _all((rows["phase"] >= 0.0) & (rows["phase"] <= 1e9), "rows/phase", "is out of range")
     _all(orders["plant"] < len(recording.plants), "orders/plant", "is not one of the plants")
     _all(np.diff(orders["plant"].astype(np.int64)) >= 0, "orders/plant", "goes back")
     turned = orders["rotation"][orders["driven"] != 0]
     off = np.abs(np.einsum("kij,klj->kil", turned, turned) - np.eye(3)).max(axis=(1, 2), initial=0)
     _all(off < 1e-3, "orders/rotation", "is not a rotation")
-    for name in ("q", "target", "tip", "force", "radius", "spent"):
+    for name in ("q", "target", "tip", "force", "radius", "spent", "phase"):
         _all(np.isfinite(rows[name]), f"rows/{name}", "is not finite")
     _all(~np.isnan(rows["distance"]), "rows/distance", "is not a number")
     _all(rows["status"] <= max(vf.Status), "rows/status", "is not a status")

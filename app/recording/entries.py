@@ -71,6 +71,7 @@ class PlaceEntry(ShapeEntry):
     options: dict[str, Any]
     start: Joints
     structures: Annotated[list[ShapeEntry], Meta(max_length=MOST)] = []
+    poses: Annotated[str, Meta(pattern="^([0-9a-f]{64})?$")] = ""
 
 
 class PlantEntry(Struct):
@@ -91,6 +92,7 @@ class StateEntry(Struct):
     autopilot_since: Count | None = None
     target: tuple[PoseRow, PoseRow, PoseRow, PoseRow] | None = None
     stale: bool = False
+    phase: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
 
 
 class Head(Struct):
@@ -178,8 +180,9 @@ def _place(entry: PlaceEntry, version: int) -> Place:
         )
     shapes = tuple(Shape(one.vertices, one.triangles, one.checksum) for one in entry.structures)
     return Place(
-        options, entry.vertices, entry.triangles, entry.checksum, np.array(entry.start), shapes
-    )
+        options, entry.vertices, entry.triangles, entry.checksum, np.array(entry.start), shapes,
+        entry.poses,
+    )  # fmt: skip
 
 
 def plants(
@@ -218,6 +221,7 @@ def state(entry: StateEntry, joints: int) -> engine.State:
         autopilot_since=entry.autopilot_since,
         target=target,
         stale=entry.stale,
+        phase=entry.phase,
     )
 
 

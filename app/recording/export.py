@@ -14,6 +14,7 @@ HEADING = (
     "held", "command", *(f"q{k} [rad or m]" for k in range(1, JOINTS + 1)), "proxy x [m]",
     "proxy y [m]", "proxy z [m]", "tip x [m]", "tip y [m]", "tip z [m]", "force x [N]",
     "force y [N]", "force z [N]", "status", "distance [m]", "planes", "controller [s]",
+    "motion [s]",
 )  # fmt: skip
 
 
@@ -59,5 +60,6 @@ def write(recording: Recording, path: Path) -> None:
                     row["distance"] if stepped else "",
                     row["planes"] if stepped else "",
                     f"{row['spent']:.9f}" if stepped else "",
+                    row["phase"],
                 )
             )

@@ -1,6 +1,6 @@
 """Format of a recording: every order that took effect, every tick, and the state before them.
 
-A file of version 4 is append-only and consists of blocks: wherever the writing ends, all complete
+A file of version 5 is append-only and consists of blocks: wherever the writing ends, all complete
 blocks are readable. It is `MAGIC`, followed by
 
 - one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
@@ -22,10 +22,11 @@ previous block (of `MAGIC` for the first), so that a missing or moved block is d
 Columns are little-endian, SI units, poses in the arm's base frame. An order that was replaced by a
 newer one before the engine read it had no effect and is not in the file. Planes are not stored:
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
-and checked against ``planes_crc``. Options of the server, such as host and port, are not recorded.
+and checked against ``planes_crc``; so is how structures move, from the phase of their motion in
+every row. Options of the server, such as host and port, are not recorded.
 
-Older versions are still read. They lack the options of `ADDED` and the structures, versions 2 and 3
-are else the same; for version 1 see `archive`.
+Older versions are still read. They lack the options of `ADDED`, the columns of `LATER` and the
+structures, and are else the same; for version 1 see `archive`.
 """
 
 from __future__ import annotations
@@ -44,13 +45,14 @@ from app.options import declared
 from app.settings import Options
 
 FORMAT = "vf-sandbox recording"
-VERSION = 4
-MAGIC = b"vf-sandbox recording 4\n"
-MAGICS = {b"vf-sandbox recording 2\n": 2, b"vf-sandbox recording 3\n": 3, MAGIC: VERSION}
+VERSION = 5
+MAGIC = b"vf-sandbox recording 5\n"
+MAGICS = {b"vf-sandbox recording %d\n" % version: version for version in range(2, VERSION + 1)}
 """The versions of append-only files, by what they begin with; all equally long."""
 ADDED: dict[int, dict[str, object]] = {
     3: {"guard": "tip", "trocar": 0.0},
     4: {"structures": [], "margin": 0.0, "guarded": True, "colour": None, "opacity": 1.0},
+    5: {"motions": [], "tracker": None},
 }
 """By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")
@@ -84,6 +86,8 @@ ORDERS = np.dtype(
         ("autopilot", "u1"),
         ("scale", "<f8"),  # of the teleoperation
         ("lock", "u1"),  # of the orientation
+        ("moving", "u1"),  # whether structures that have a motion move …
+        ("pace", "<f8"),  # … and how fast, over their own speed
     ]
 )
 ROWS = np.dtype(
@@ -107,13 +111,33 @@ ROWS = np.dtype(
         ("planes_crc", "<u4"),
         ("forces_crc", "<u4"),  # of the planes' multipliers and the joints at their limits
         ("spent", "<f4"),  # time in the controller [s]; not repeatable, not compared
+        ("phase", "<f8"),  # time of the motion of structures at the end of the tick [s]
+        ("lost", "u1"),  # whether the tool held because a structure was not seen for too long
     ]
 )
+LATER: dict[int, dict[str, object]] = {5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0}}
+"""By version: the columns that tables have since then, and what they were before."""
 COMPARED = tuple(name for name in ROWS.names or () if name != "spent")
 
 
 class RecordingError(ValueError):
     """A file that is not a usable recording; the message says why."""
+
+
+def columns(table: np.dtype[Any], version: int) -> tuple[str, ...]:
+    """The columns that `ORDERS` or `ROWS` has in a file of this version."""
+    later = {name for since, names in LATER.items() if version < since for name in names}
+    return tuple(name for name in table.names or () if name not in later)
+
+
+def blank(table: np.dtype[Any], version: int, n: int) -> NDArray[Any]:
+    """A table (n,) for the content of a file of this version: other columns as they were then."""
+    made = np.zeros(n, dtype=table)
+    for since, names in LATER.items():
+        for name, value in names.items():
+            if version < since and name in (table.names or ()):
+                made[name] = value
+    return made
 
 
 def chained(crc: int, kind: bytes, rows: int, content: bytes) -> int:
@@ -145,6 +169,7 @@ class Place:
         checksum: `vf.Surface.checksum` of the placed mesh.
         start: (n,) joints the tool starts from.
         structures: the surfaces beside the mesh, in the order of the options.
+        poses: `app.motion.movement.checksum` of the motions.
     """
 
     options: Options
@@ -153,6 +178,7 @@ class Place:
     checksum: str
     start: NDArray[np.float64]
     structures: tuple[Shape, ...] = ()
+    poses: str = ""
 
 
 @dataclass(frozen=True)

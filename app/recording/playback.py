@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -15,42 +15,14 @@ import robots
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
-from app.control.watch import Crossing
+from app.motion.movement import Movement, checksum
 from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
 from app.scene import scene as scenes
 from app.scene import structures, worker
+from app.scene.moment import Moment, places_at
 from app.scene.scene import Progress, Scene
-from app.settings import Options
-
-
-@dataclass(frozen=True)
-class Moment:
-    """All that the view draws: the present state of a session, or that of a row of a recording.
-
-    Attributes:
-        scene, options: in force; the telemetry may still be of the previous scene.
-        telemetry: the tick.
-        clutched: whether the clutch is pressed.
-        force: (3,) on the operator's hand [N].
-        handle: pose of the operator's handle, base frame; None in a recording.
-        crossing: where the tip crossed the mesh of this scene; None: nowhere, or unknown.
-    """
-
-    scene: Scene
-    options: Options
-    telemetry: Telemetry
-    clutched: bool
-    force: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    handle: pin.SE3 | None = None
-    crossing: Crossing | None = None
-
-    @property
-    def tip(self) -> pin.SE3:
-        """Pose of the tool's tip, base frame; before the first tick where it starts."""
-        step = self.telemetry.step
-        return self.scene.T_base_start if step is None else step.tip
 
 
 def build_scenes(
@@ -78,6 +50,7 @@ def build_scenes(
             and as_json(place.options) == as_json(like.options)
             and [place.checksum, *(one.checksum for one in place.structures)]
             == [surface.checksum for surface in like.surfaces]
+            and place.poses == checksum(like.courses)
             and place.start.tobytes() == like.start.tobytes()
         )
         if same:
@@ -101,6 +74,7 @@ class Player:
         self._scenes = tuple(built)
         self._index = -1
         self._plant: Plant | None = None
+        self._movement: Movement | None = None
 
     def __len__(self) -> int:
         return len(self.recording.rows)
@@ -115,6 +89,7 @@ class Player:
         if self._plant is None or self._index != order["plant"]:
             self._index = int(order["plant"])
             self._plant = scenes.plant(scene, options)
+            self._movement = self._plant.movement()
         q = recording.joints(row)
         target = None
         if noted["driven"]:
@@ -135,10 +110,15 @@ class Player:
             paused=bool(order["paused"]),
             autopilot=bool(order["autopilot"]),
             stale=bool(noted["stale"]),
+            phase=float(noted["phase"]),
+            phase_before=self._phase_before(row),
+            lost=bool(noted["lost"]),
         )
         seen = replace(options, scale=float(order["scale"]), lock_orientation=bool(order["lock"]))
         force = np.zeros(3) if step is None else step.force
-        return Moment(scene, seen, telemetry, bool(order["clutch"]), force)
+        assert self._movement is not None
+        places = places_at(self._movement, telemetry.phase)
+        return Moment(scene, seen, telemetry, bool(order["clutch"]), force, places=places)
 
     def _step(self, row: int, q: np.ndarray, target: pin.SE3 | None) -> vf.Step:
         """The step of a row, from the joints before it."""
@@ -146,7 +126,11 @@ class Player:
         arm, controller = self._plant.arm, self._plant.controller
         noted = self.recording.rows[row]
         before = self._before(row, q)
-        step = controller.step(before, arm.tip(before) if target is None else target)
+        motions = None
+        if self._movement is not None and self._movement.moves:
+            told = self._movement.during(self._phase_before(row), float(noted["phase"]))
+            motions = self._plant.motions(told.motions)
+        step = controller.step(before, arm.tip(before) if target is None else target, motions)
         return replace(
             step,
             q=q,
@@ -156,16 +140,26 @@ class Player:
             distance=float(noted["distance"]),
         )
 
+    def _phase_before(self, row: int) -> float:
+        """The phase before a row: that of the row before, or 0 after a reset or a new scene."""
+        if self._jumped(row):
+            return 0.0
+        rows = self.recording.rows
+        return float(rows["phase"][row - 1]) if row else self.recording.state.phase
+
     def _before(self, row: int, q: np.ndarray) -> np.ndarray:
         """Joints before the tick of a row; those after it if a reset or a new scene moved them."""
+        return q if self._jumped(row) else self.recording.joints(row - 1)
+
+    def _jumped(self, row: int) -> bool:
+        """Whether a reset or a new scene came before the tick of a row."""
         rows, orders = self.recording.rows, self.recording.orders
         now = orders[rows["order"][row]]
         then = orders[rows["order"][row - 1] if row else 0]
         plants = self.recording.plants
-        moved = (
+        return bool(
             now["resets"] != then["resets"] or plants[now["plant"]][0] != plants[then["plant"]][0]
         )
-        return q if moved else self.recording.joints(row - 1)
 
 
 class Transport:

@@ -33,7 +33,9 @@ from app.recording.format import (
     VERSION,
     Recording,
     RecordingError,
+    blank,
     chained,
+    columns,
 )
 
 
@@ -205,7 +207,8 @@ class _Reader:
         (length,) = LENGTH.unpack(content[: LENGTH.size])
         at = LENGTH.size + length
         about = entries.read(content[LENGTH.size : at], entries.Part, "a part of it")
-        due = about.orders * ORDERS.itemsize + n * ROWS.itemsize
+        noted = self._size(ORDERS, about.orders)
+        due = noted + self._size(ROWS, n)
         if len(content) - at != due:
             raise RecordingError(f"a part of it has {len(content) - at:,} bytes, not {due:,}")
         self._places += entries.places(about.places, self._version)
@@ -214,19 +217,23 @@ class _Reader:
         self._courses += courses
         if len(self._plants) > MAX_PLANTS:
             raise RecordingError(f"there are more than {MAX_PLANTS:,} changes of settings")
-        self._orders.append(_table(content, at, ORDERS, about.orders))
+        self._orders.append(_table(content, at, ORDERS, about.orders, self._version))
         if sum(map(len, self._orders)) > MAX_ORDERS:
             raise RecordingError(f"there are more than {MAX_ORDERS:,} orders")
         self._rows[self._filled : self._filled + n] = _table(
-            content, at + about.orders * ORDERS.itemsize, ROWS, n
+            content, at + noted, ROWS, n, self._version
         )
         self._filled += n
 
+    def _size(self, table: np.dtype[Any], n: int) -> int:
+        """Of n rows of a table [byte]."""
+        return n * sum(table[name].itemsize for name in columns(table, self._version))
 
-def _table(content: bytes, at: int, dtype: np.dtype[Any], n: int) -> NDArray[Any]:
+
+def _table(content: bytes, at: int, dtype: np.dtype[Any], n: int, version: int) -> NDArray[Any]:
     """A table (n,) from its columns, stored one after another from byte `at` on."""
-    table = np.zeros(n, dtype=dtype)
-    for name in dtype.names or ():
+    table = blank(dtype, version, n)
+    for name in columns(dtype, version):
         column = dtype[name]
         count = n * (column.itemsize // column.base.itemsize)
         found = np.frombuffer(content, column.base, count, at)

@@ -12,6 +12,7 @@ import meshes
 from app.control.engine import Engine, Orders, Plant
 from app.control.messages import LoopStats, Telemetry
 from app.files import shown
+from app.motion.movement import checksum
 from app.recording.format import CHUNK, COMPARED, ROWS, Place, Recording, RecordingError
 from app.recording.rows import command as command_of
 from app.recording.rows import fill
@@ -94,6 +95,8 @@ def orders_of(noted: np.void, plant: Plant) -> Orders:
         autopilot=bool(noted["autopilot"]),
         scale=float(noted["scale"]),
         lock_orientation=bool(noted["lock"]),
+        moving=bool(noted["moving"]),
+        pace=float(noted["pace"]),
     )
 
 
@@ -144,6 +147,9 @@ def build(
         raise RecordingError(
             f"the files give {len(scene.structures)} structures, recorded {len(noted.structures)}"
         )
+    if checksum(scene.courses) != noted.poses:
+        files = ", ".join(f"'{shown(one.file)}'" for one in options.motions if one.file is not None)
+        raise RecordingError(f"the poses of {files} are not those that were recorded")
     if scene.start.tobytes() != noted.start.tobytes():
         raise RecordingError(
             f"the tool starts elsewhere over '{shown(options.mesh)}' than was recorded"

@@ -29,9 +29,10 @@ def fill(
     goal, turns = np.zeros(3), 0
     if target is not None:
         goal, turns = target.translation, zlib.crc32(target.rotation.tobytes())
+    tail = (telemetry.phase, telemetry.lost)
     head = (order, ticked, telemetry.tick, q, target is not None, goal, telemetry.stale)
     if step is None or step is before:
-        rows[k] = (*head, False, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, turns, 0, 0, 0.0)
+        rows[k] = (*head, False, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, turns, 0, 0, 0.0, *tail)
         return
     planes = step.planes
     crc = zlib.crc32(planes.normals.tobytes())
@@ -52,6 +53,7 @@ def fill(
         crc,
         zlib.crc32(step.limits.tobytes(), zlib.crc32(step.multipliers.tobytes())),
         step.timings.total,
+        *tail,
     )
 
 

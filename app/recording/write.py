@@ -23,6 +23,7 @@ from app.control.autopilot import Course
 from app.control.engine import Orders, Plant, State
 from app.control.messages import Telemetry
 from app.files import numbered
+from app.motion.movement import checksum
 from app.options import raw
 from app.recording.format import (
     BLOCK,
@@ -111,6 +112,7 @@ class Recorder:
                 "autopilot_since": state.autopilot_since,
                 "target": None if state.target is None else state.target.homogeneous.tolist(),
                 "stale": state.stale,
+                "phase": state.phase,
             },
         }
         self._block(HEAD, 0, json.dumps(content).encode())
@@ -204,6 +206,8 @@ class Recorder:
                 orders.autopilot,
                 orders.scale,
                 orders.lock_orientation,
+                orders.moving,
+                orders.pace,
             )
         )
         self._counts["orders"] += 1
@@ -222,6 +226,7 @@ class Recorder:
                     **_shape(plant.surface),
                     "start": plant.q0.tolist(),
                     "structures": [_shape(one) for one in plant.structures],
+                    "poses": checksum(plant.courses),
                 }
             )
             self._counts["places"] += 1
@@ -276,6 +281,9 @@ def as_json(options: Options) -> dict[str, Any]:
     values["mesh"] = _absolute(options.mesh)
     for entry in values["structures"]:
         entry["file"] = _absolute(entry["file"])
+    for entry in values["motions"]:
+        if entry["file"] is not None:
+            entry["file"] = os.path.abspath(entry["file"])
     if options.path is not None:
         values["path"] = os.path.abspath(options.path)
     return values

@@ -139,6 +139,11 @@ def dumps(scenario: Scenario, folder: Path | None = None) -> str:
             value = _written(key, value, folder)
         elif key == "structures":
             value = tuple(replace(one, file=_written(key, one.file, folder)) for one in value)
+        elif key == "motions":
+            value = tuple(
+                one if one.file is None else replace(one, file=_written(key, one.file, folder))
+                for one in value
+            )
         content[key] = kind.to_json(value)
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -170,6 +175,7 @@ def write(scenario: Scenario, path: Path) -> None:
 
 
 _FILES = ("mesh", "path")
+_PLAIN = ("path", "motions")  # never a label behind the file, nor a name of the catalogue
 
 
 def _is_file(name: str) -> bool:
@@ -182,8 +188,8 @@ def _written(key: str, name: str, folder: Path | None) -> str:
 
     A label may follow the path.
     """
-    file, label = (name, None) if key == "path" else split(name)
-    if not _is_file(file):
+    file, label = (name, None) if key in _PLAIN else split(name)
+    if not _is_file(file) and key != "motions":
         return name
     path = Path(file)
     file = path.name if folder is None else _relative(key, path, folder)
@@ -206,6 +212,10 @@ def _placed(
         replace(one, file=_found("structures", one.file, folder, find))
         for one in options.structures
     )
+    found["motions"] = tuple(
+        one if one.file is None else replace(one, file=_found("motions", one.file, folder, find))
+        for one in options.motions
+    )
     return replace(scenario, options=replace(options, **found))
 
 
@@ -213,8 +223,8 @@ def _found(
     key: str, name: str, folder: Path | None, find: Callable[[str], str | None] | None
 ) -> str:
     """The path of a file in `folder`, or by `find`; a name of the catalogue as it is."""
-    file, label = (name, None) if key == "path" else split(name)
-    if key != "path" and not _is_file(file):
+    file, label = (name, None) if key in _PLAIN else split(name)
+    if key not in _PLAIN and not _is_file(file):
         known = (*MESHES, *FROM_PACKAGES, *SETS, NO_MESH)
         if file not in known:
             raise ScenarioError(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+from app.motion.declared import Motion, Tracker
 from app.scenarios.file import Scenario, ScenarioError, Waypoint, read
 from app.scenarios.values import Viewpoint
 from app.settings import Options, Structure
@@ -185,8 +186,40 @@ _EAR = Scenario(
     camera="anatomy",
 )  # fmt: skip
 
+_BREATH = Scenario(
+    "breathing-liver",
+    "A breathing liver, seen ten times a second and 0.15 s late. With the age of the sighting the "
+    "margin grows by the declared 20 mm/s, and the tool never touches it.",
+    Options(
+        mesh="liver",
+        motions=(Motion("breathing", move=(0.0, 0.0, 0.012), period=4.0),),
+        tracker=Tracker(rate=10.0, latency=0.15, bound=0.02),
+    ),
+    (_at(1.0, 0, 9, 50), _at(2.0, 0, 9, 25), _at(4.5, 20, 5, 25), _at(9.0, -10, 15, 25)),
+    camera="anatomy",
+)
+_BREATH_ALONE = replace(
+    _BREATH,
+    name="breathing-liver-no-margin",
+    about="The same liver, tracker and hand with a declared speed of 0: there is no margin for the "
+    "age of the sighting, and the true liver meets the tool.",
+    options=replace(_BREATH.options, tracker=Tracker(rate=10.0, latency=0.15, bound=0.0)),
+)
+_KNOCK = Scenario(
+    "knock-on-the-table",
+    "The table is knocked up by 8 mm within 60 ms: faster than the tool may yield, and the cube "
+    "overtakes it. Inside, only the way out is open, on which the hand leads it back.",
+    Options(
+        mesh="cube",
+        tip_speed=0.1,
+        motions=(Motion("knock", move=(0.0, 0.0, 0.008), period=0.06, after=2.5),),
+    ),
+    (_at(1.0, 0, 0, 30), _at(2.0, 0, 0, 15), _at(3.5, 0, 0, 15), _at(5.5, 0, 0, 38)),
+    camera="anatomy",
+)
+
 _ALL = (
     _PUSH, _ORBIT, _PLATE, _GEAR, _SADDLE, _UNCLEAN, _HELD, _MILLION, _FONTANELLE, _KEYHOLE,
-    _CORNER, _CORNER_TIP, _EAR,
+    _CORNER, _CORNER_TIP, _EAR, _BREATH, _BREATH_ALONE, _KNOCK,
 )  # fmt: skip
 PRESETS: Mapping[str, Scenario] = MappingProxyType({one.name: one for one in _ALL})

@@ -21,6 +21,8 @@ from app.control.engine import Plant, is_free
 from app.control.plant import Description, assemble, clearance, corridor
 from app.judges import boxes, meeting
 from app.judges.nearest import gaps
+from app.motion.course import Course
+from app.motion.movement import courses, too_fast
 from app.scene import structures
 from app.scene.caught import caught_warnings
 from app.scene.outside import shows_fronts_only
@@ -56,6 +58,7 @@ class Scene:
         T_base_start: the tip at `start`.
         autopilot: the scripted tour over this mesh.
         options: the settings it was built with, with an entry for each structure.
+        courses: how each of the `surfaces` moves; None: it stands still.
     """
 
     version: int
@@ -75,6 +78,12 @@ class Scene:
     autopilot: Script
     options: Options
     structures: tuple[Built, ...] = ()
+    courses: tuple[Course | None, ...] = ()
+
+    @property
+    def moves(self) -> bool:
+        """Whether any of its structures moves."""
+        return any(course is not None for course in self.courses)
 
     @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
@@ -125,6 +134,10 @@ def build(
     if open_ones := [n for n, one in zip(names, built, strict=True) if not one.surface.closed]:
         notes.append(f"Not closed, so guarded from both sides: {', '.join(open_ones)}.")
 
+    surfaces = (surface, *(one.surface for one in built))
+    moved = courses(options.motions, [str(own.name) for own in options.anatomy], surfaces)
+    notes += too_fast(options.tracker, moved, surfaces)
+
     path = _planned_path(options, T_base_mesh)
     if path is not None:
         corridor(surface, path, options.corridor or DEFAULT_WIDTH)  # raises if it is invalid
@@ -172,6 +185,7 @@ def build(
         autopilot=plan(surface, T_base_start),
         options=options,
         structures=built,
+        courses=moved,
     )
 
 
@@ -255,6 +269,7 @@ def plant(scene: Scene, options: Options) -> Plant:
         options=options,
         scene_options=scene.options,
         structures=tuple(one.surface for one in scene.structures),
+        courses=scene.courses,
     )
     return assemble(description, scene.arm.copy())
 

@@ -143,6 +143,7 @@ def files_of(options: Options) -> tuple[str, ...]:
     """The files, or names of the catalogue, that a scene of these options reads."""
     names = (options.mesh, *(one.file for one in options.structures))
     files = dict.fromkeys(split(name)[0] for name in names if name != choices.NO_MESH)
+    files |= dict.fromkeys(one.file for one in options.motions if one.file is not None)
     return tuple(
         str(path)
         for name in files

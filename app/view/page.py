@@ -14,9 +14,9 @@ import viser
 from numpy.typing import NDArray
 
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
-from app.recording.playback import Moment
 from app.scenarios.file import Scenario
 from app.scene.library import Library
+from app.scene.moment import Moment
 from app.session import Session
 from app.view import guard, style
 from app.view.clients import client_names
@@ -27,6 +27,7 @@ from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
 from app.view.controls.keys import Keys
+from app.view.controls.motion import MotionControl
 from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
@@ -162,6 +163,7 @@ class Page:
             InspectorTab(context),
             MeshTab(context),
             CorridorControl(context),
+            MotionControl(context),
             RecordTab(context),
             self._labels,  # after all parts that change a label
         )
@@ -306,6 +308,7 @@ class Page:
         return {
             "Anatomy": (True, self._anatomy.show),
             "See-through": (False, self._anatomy.set_translucent),
+            "Ghosts": (True, self._anatomy.show_ghosts),
             "Arm": (True, self._arm.show),
             "Capsules": (False, partial(setattr, self._instrument, "show")),
             "Motion sphere": (True, partial(setattr, fixture, "show_sphere")),

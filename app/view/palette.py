@@ -105,6 +105,9 @@ GUARD_HELP: dict[str, str] = {
 TIP_ALONE = "This rule guards the tip alone, whatever is chosen here."
 NO_GUARD = "Without a fixture nothing is guarded."
 
+GHOST = (86, 140, 190)
+"""Where the guard believes a structure to be."""
+
 STATUS_HELP: dict[vf.Status, str] = {
     vf.Status.SOLVED: "step as solved",
     vf.Status.SHORTENED: "part of it was safe",

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
-from app.recording.playback import Moment
+from app.control.messages import Telemetry
+from app.motion.movement import Movement
+from app.scene.moment import Moment, Places, places_at
+from app.scene.scene import Scene
 from app.session import Session
 
 
@@ -21,6 +25,8 @@ class Source:
         self._session = session
         self.override: Callable[[], Moment] | None = None
         self.caption = ""
+        self._movement: tuple[Scene, Movement] | None = None
+        self._moving = threading.Lock()  # several threads ask
         self.shown = self.now()
 
     @property
@@ -47,5 +53,15 @@ class Source:
                 master.force,
                 telemetry.target if by_script else master.handle,
                 crossing if crossing is not None and crossing.scene == scene.version else None,
+                self._places(scene, telemetry),
+                session.contacts,
             )
         return self.shown
+
+    def _places(self, scene: Scene, telemetry: Telemetry) -> Places:
+        """Where the structures are; before the scene's first tick where they rest."""
+        with self._moving:
+            if self._movement is None or self._movement[0] is not scene:
+                self._movement = scene, Movement(scene.courses, scene.options.tracker)
+            phase = telemetry.phase if telemetry.scene == scene.version else 0.0
+            return places_at(self._movement[1], phase)

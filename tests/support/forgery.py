@@ -19,12 +19,15 @@ import numpy as np
 from app.recording.format import ORDERS, ROWS
 from app.recording.read import read
 
-MAGIC = b"vf-sandbox recording 4\n"
+MAGIC = b"vf-sandbox recording 5\n"
 # By version: the options that those before it do not have.
 LATER = {
     3: ("guard", "trocar"),
     4: ("structures", "margin", "guarded", "colour", "opacity"),
+    5: ("motions", "tracker"),
 }
+COLUMNS = {5: ("orders/moving", "orders/pace", "rows/00000/phase", "rows/00000/lost")}
+"""By version: the columns that those before it do not have."""
 Change = Callable[[dict[str, Any], dict[str, bytes]], None]
 
 
@@ -68,7 +71,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def forged(
-    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 4
+    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 5
 ) -> Path:
     """A copy of a recording with its header and columns changed, in this version."""
     recording = read(sound)
@@ -90,8 +93,16 @@ def forged(
     for entry in header["places"]:
         if version < 4:
             del entry["structures"]
+        if version < 5:
+            del entry["poses"]
+    if version < 5:
+        del header["state"]["phase"]
     members = {f"orders/{n}.npy": npy(recording.orders[n]) for n in ORDERS.names or ()}
     members |= {f"rows/00000/{n}.npy": npy(recording.rows[n]) for n in ROWS.names or ()}
+    for since, names in COLUMNS.items():
+        for name in names:
+            if version < since:
+                del members[f"{name}.npy"]
     change(header, members)
     path = folder / "forged.vfrec"
     if version == 1:
@@ -111,7 +122,7 @@ def forged(
                 (b"PART", n, pack(about, tables)),
                 (b"LAST", n, end),
             ],
-            MAGIC.replace(b"4", b"%d" % version),
+            MAGIC.replace(b"5", b"%d" % version),
         )
     )
     return path

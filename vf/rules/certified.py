@@ -158,7 +158,8 @@ def walk(  # type: ignore[no-untyped-def]
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
-        margin, highest, own: `margins.Margins` [m].
+        margin, highest, own: `margins.Margins` [m]; where they vary, what `margin` is above the
+            largest of them is added to all.
         lowered: by how much the margins are lowered from the outset [m].
         walls: triangles (a, b, b) stand for walls through a and b along z, and the tip's z is 0.
         ends: three numbers, the centre of the tip, or six, start and end of a capsule's axis [m].
@@ -172,6 +173,7 @@ def walk(  # type: ignore[no-untyped-def]
     planes = planes[first:]
     polygon, spare = polygons[0], polygons[1]
     varied = own.shape[0] > 0
+    added = margin - highest[0] if varied else 0.0  # to the margins, for this tick
     # Of the tip with the largest margin; triangles with less count as farther away by the rest.
     widest = max(margin - lowered, 0.0)
     tip_radius = thickness + widest
@@ -214,7 +216,8 @@ def walk(  # type: ignore[no-untyped-def]
         item = item // SEEN
         less = less_of_bumps(d2, tip_radius, far)
         if varied:
-            shift = max((highest[item] if item >= 0 else own[-1 - item]) - lowered, 0.0)
+            shift = (highest[item] if item >= 0 else own[-1 - item]) + added
+            shift = max(shift - lowered, 0.0)
         if item >= 0:
             fresh = since(seen, m)
             if fresh != 0:
@@ -234,7 +237,7 @@ def walk(  # type: ignore[no-untyped-def]
                 if link > 0.0:
                     e2 = box_gap2(nodes, entry, ends)
                     if varied:
-                        shift = max(highest[entry] - lowered, 0.0)
+                        shift = max(highest[entry] + added - lowered, 0.0)
                         e2 = (np.sqrt(e2) + (widest - shift)) ** 2
                     if e2 > reach2:
                         continue
@@ -249,7 +252,7 @@ def walk(  # type: ignore[no-untyped-def]
                 else:
                     cut = 0
                     if varied:
-                        shift = max(own[entry] - lowered, 0.0)
+                        shift = max(own[entry] + added - lowered, 0.0)
                     if mask != 0:
                         hidden, cut = triangle_behind(
                             corners, entry, planes, less, shift, near, mask
@@ -358,7 +361,7 @@ def walk(  # type: ignore[no-untyped-def]
         plane[at.TRIANGLE] = order[t]
         plane[at.RULE] = rule
         plane[at.FIXTURE] = plane[at.CAPSULE] = plane[at.POINT] = 0.0
-        plane[at.PUSH] = own[t] if varied else margin
+        plane[at.PUSH] = own[t] + added if varied else margin
         # Compared with what is behind it after the margin of that has been taken off.
         plane[at.LIMIT] = limit + shift
         plane[at.BUMP] = bump

@@ -181,6 +181,8 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                 if not tip and search[at.TOOL] == 0:
                     continue
                 margin = sides[f, at.MARGIN]
+                if search[at.MOVES] > 0:
+                    margin += motions[f, at.ADDED]
                 nodes_too = search[at.NODE_COUNT] if search[at.VARIED] > 0 else 0
                 highest = numba.carray(floats_at(search[at.NODE_MARGINS]), (nodes_too,))
                 own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))

@@ -27,6 +27,7 @@ from vf.tick.yielding import (
     bound_speed,
     choose_least,
     keep_least,
+    lead_out,
     measure_violation,
     obeys_all,
     still_obeys,
@@ -142,6 +143,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             planes, m, places, jacobians, numbers[at.STANDOFF], guards, moving, rows, bounds
         )
         if moving:
+            lead_out(words, planes, m, places, guards, rows, bounds, table)
             ask_at_contacts(planes, m, places, guards, rows, bounds)
             bound_speed(planes, m, bounds, table)
         words[at.STAGE] = at.WHOLE

@@ -6,8 +6,8 @@ import numba
 import numpy as np
 
 from vf import layout as at
-from vf.kernels import floats_at, njit
-from vf.qp.problem import height, sagitta
+from vf.kernels import floats_at, integers_at, njit
+from vf.qp.problem import EXIT, LED_OUT, TIGHTENING, height, sagitta
 from vf.qp.solver import Solver
 from vf.tick.attempts import ask, shortened
 from vf.tick.moving import shortfall, violation
@@ -30,6 +30,28 @@ def bound_speed(planes, m, bounds, table):  # type: ignore[no-untyped-def]
                 table[at.LOWER, j] = max(table[at.LOWER, j], -table[at.SPEED, j])
                 table[at.UPPER, j] = min(table[at.UPPER, j], table[at.SPEED, j])
             return
+
+
+@njit(cache=True)
+def lead_out(words, planes, m, places, guards, rows, bounds, table):  # type: ignore[no-untyped-def]
+    """Ask for the growth of margins in this tick, beside what recovers of them slowly."""
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    for i in range(m):
+        plane = planes[i]
+        f, p = int(plane[at.FIXTURE]), int(plane[at.POINT])
+        growth = motions[f, at.GROWTH] if searches[f, at.MOVES] > 0 else 0.0
+        if growth == 0.0 or plane[at.RULE] == EXIT or not rows[i].any():
+            continue
+        keep = plane[at.KEEP] + guards[p, at.THICKNESS]
+        gap = height(plane, places[p]) + plane[at.CARRY] - height(plane, plane[at.FOOT :])
+        missing = min(keep - gap, growth + LED_OUT) + TIGHTENING
+        if missing > 0.0 and bounds[i] < missing + plane[at.CARRY]:
+            bounds[i] = missing + plane[at.CARRY]
+            for j in range(table.shape[1]):
+                table[at.LOWER, j] = max(table[at.LOWER, j], -table[at.SPEED, j])
+                table[at.UPPER, j] = min(table[at.UPPER, j], table[at.SPEED, j])
 
 
 @njit(cache=True)

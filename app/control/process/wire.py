@@ -16,14 +16,15 @@ from app.control.clock import Timing
 from app.control.engine import Engine, Orders, Plant, State
 from app.control.messages import Command, LoopStats, Telemetry
 
-# Number of the orders and of their plant; driven, clutch, held, paused, autopilot, lock; sequence,
-# steps, resets; stamp, scale; target (3, 4).
-_ORDERS = struct.Struct("<QQ6?qqqdd12d")
+# Number of the orders and of their plant; driven, clutch, held, paused, autopilot, lock, moving;
+# sequence, steps, resets; stamp, scale, pace; target (3, 4).
+_ORDERS = struct.Struct("<QQ7?qqqddd12d")
 # Number of the orders; ticked, stepped, repeated, driven, from, paused, autopilot, stale; tick,
-# scene, sequence, steps, silent, tick of the autopilot's start (−1: it is off); joints; of the step
-# when it began, and how many joints it has; timing of the period before: what it was, status,
-# overrun, started, late, spent. A multiple of eight bytes: arrays stand behind it.
-_TICK = struct.Struct("<Q8?qqqqqqQdQBB?5xddd")
+# scene, sequence, steps, silent, tick of the autopilot's start (−1: it is off); joints; phase, that
+# before; of the step when it began, and how many joints it has; timing of the period before: what
+# it was, status, overrun, started, late, spent; lost. A multiple of eight bytes: arrays stand
+# behind it.
+_TICK = struct.Struct("<Q8?qqqqqqQdddQBB?4x?ddd")
 _POSE = 96  # of a pose (3, 4) [byte]
 _NO_POSE = bytes(_POSE)
 
@@ -40,11 +41,13 @@ def pack_orders(number: int, plant: int, orders: Orders) -> bytes:
         orders.paused,
         orders.autopilot,
         orders.lock_orientation,
+        orders.moving,
         command.sequence,
         orders.steps,
         orders.resets,
         command.stamp,
         orders.scale,
+        orders.pace,
         *(np.zeros(12) if target is None else target.homogeneous[:3].ravel()),
     )
 
@@ -58,8 +61,8 @@ def numbers_of(message: bytes) -> tuple[int, int]:
 def unpack_orders(message: bytes, plant: Plant) -> Orders:
     """The orders of a message, for the plant that they name."""
     (
-        _number, _plant, driven, clutch, held, paused, autopilot, lock, sequence, steps, resets,
-        stamp, scale, *target,
+        _number, _plant, driven, clutch, held, paused, autopilot, lock, moving, sequence, steps,
+        resets, stamp, scale, pace, *target,
     ) = _ORDERS.unpack(message)  # fmt: skip
     T = np.array(target).reshape(3, 4)
     return Orders(
@@ -73,6 +76,8 @@ def unpack_orders(message: bytes, plant: Plant) -> Orders:
         autopilot=autopilot,
         scale=scale,
         lock_orientation=lock,
+        moving=moving,
+        pace=pace,
     )
 
 
@@ -92,6 +97,7 @@ class Teller:
         steps, silent, since = self._engine.counts
         if target is not self._target[0]:
             self._target = target, _packed(target)
+        timing, times = self._timing.last[:3], self._timing.last[3:]
         head = _TICK.pack(
             number,
             ticked,
@@ -109,9 +115,13 @@ class Teller:
             silent,
             -1 if since is None else since,
             len(telemetry.q),
+            telemetry.phase,
+            telemetry.phase_before,
             began,
             n,
-            *self._timing.last,
+            *timing,
+            telemetry.lost,
+            *times,
         )
         self._step = step
         return b"".join((head, self._target[1], _packed(origin), telemetry.q.tobytes(), record))
@@ -149,6 +159,7 @@ class Told:
             target=self.telemetry.target,
             stale=self.telemetry.stale,
             step=self.telemetry.step,
+            phase=self.telemetry.phase,
         )
 
 
@@ -171,8 +182,8 @@ class Listener:
         """
         (
             order, ticked, stepped, repeated, driven, came, paused, autopilot, stale, tick, scene,
-            sequence, steps, silent, since, joints, began, n, what, status, overrun, started, late,
-            spent,
+            sequence, steps, silent, since, joints, phase, phase_before, began, n, what, status,
+            overrun, lost, started, late, spent,
         ) = _TICK.unpack_from(message)  # fmt: skip
         at = _TICK.size
         target = origin = None
@@ -189,7 +200,7 @@ class Listener:
             step = vf.Step.unpacked(message[end:], n, began)
         telemetry = Telemetry(
             tick, tick * self._dt, np.frombuffer(message, np.float64, joints, at), target, step,
-            stats, scene, sequence, paused, autopilot, stale, origin,
+            stats, scene, sequence, paused, autopilot, stale, origin, phase, phase_before, lost,
         )  # fmt: skip
         return Told(
             order, ticked, telemetry, (what, status, overrun, started, late, spent), steps, silent,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.clients.client_input import Notify

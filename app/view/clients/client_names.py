@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import viser
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.view import palette
 from app.view.part import Clients, Part
 

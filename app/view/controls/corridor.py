@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
 from app.control.plant import corridor
-from app.recording.playback import Moment
+from app.scene.moment import Moment, placed, seen_from
 from app.scene.scene import DEFAULT_WIDTH, Scene
 from app.settings import number
 from app.view import palette
 from app.view.context import PageContext
 from app.view.controls.fields import NumberField, show
+from app.view.drawing.nodes import place
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view
 
@@ -33,6 +35,7 @@ class CorridorControl(Part):
         )
         self._source = context.source
         self._api = context.server.scene
+        self._root = context.server.scene.add_frame("/corridor", show_axes=False)
         self._drawn: tuple[int, float | None] | None = None
         self._name = context.labels.add("/corridor/name", "planned cut", anchor="top-left")
         self._end = 0  # end of the path with the label
@@ -54,10 +57,13 @@ class CorridorControl(Part):
         self._folder.visible = scene.planned_path is not None
         self._drawn = None
         self._name.visible = False
+        place(self._root, None)
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         scene, width = shown.scene, shown.options.corridor
-        self._draw_name(scene, shown.tip.translation)
+        self._draw_name(scene, shown.tip.translation, shown.pose(0))
+        if shown.moves:
+            place(self._root, shown.pose(0))  # it lies on the mesh
         if self._drawn == (scene.version, width):
             return
         self._drawn = (scene.version, width)
@@ -102,14 +108,14 @@ class CorridorControl(Part):
         if self._session.options.corridor is not None:
             self._session.set(corridor=width * 1e-3)
 
-    def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64]) -> None:
+    def _draw_name(self, scene: Scene, p_tip: NDArray[np.float64], pose: pin.SE3 | None) -> None:
         """Place the label at the end of the path farther from the tip and its labels."""
         path = scene.planned_path
         self._name.visible = path is not None
         if path is not None:
             ends = path[[0, -1]]
-            self._end = far_end(ends, p_tip, self._end)
-            self._name.position = to_view(ends[self._end])
+            self._end = far_end(ends, seen_from(pose, p_tip), self._end)
+            self._name.position = to_view(placed(pose, ends[self._end]))
 
     def _draw_wall(self, name: str, corners: NDArray[np.float64] | None) -> None:
         visible = corners is not None

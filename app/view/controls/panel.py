@@ -15,8 +15,8 @@ import viser
 import meshes
 import robots
 import vf
-from app.recording.playback import Moment
 from app.scene.library import Library
+from app.scene.moment import Moment
 from app.session import Session
 from app.settings import DECLARED, Options, number
 from app.view import palette, style

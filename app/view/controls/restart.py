@@ -6,7 +6,7 @@ from typing import Any
 
 import viser
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.session import Session
 from app.view.clients.client_input import ClientInput
 from app.view.part import Part

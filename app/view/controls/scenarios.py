@@ -14,10 +14,10 @@ import numpy as np
 import viser
 
 import meshes
-from app.recording.playback import Moment
 from app.scenarios.file import SIZE_LIMIT, Scenario, Viewpoint, dumps, loads
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import present, stage
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import camera, palette
 from app.view.clients.uploads import Receiver

@@ -6,19 +6,22 @@ import time
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
 import vf
 from app.judges.meeting import sees
-from app.recording.playback import Moment
+from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.settings import Structure
 from app.view import palette
+from app.view.drawing.nodes import place
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
+GHOST_OPACITY = 0.25
 HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
 TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
 
@@ -33,10 +36,15 @@ class _Drawn:
         self.visible = True  # by its own switch
         self.hidden_at = -np.inf  # monotonic time when it last hid the tip [s]
         self.whole = True  # not cut
+        self.pose: pin.SE3 | None = None  # T_rest_now; None: it rests
+        self.ghost: viser.MeshHandle | None = None  # where the guard believes it
 
     def hides(self, eyes: Sequence[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> bool:
         return self.whole and any(
-            np.isfinite(eye).all() and not sees(self.surface, eye / VIEW_SCALE, p_tip)
+            np.isfinite(eye).all()
+            and not sees(
+                self.surface, seen_from(self.pose, eye / VIEW_SCALE), seen_from(self.pose, p_tip)
+            )
             for eye in eyes
         )
 
@@ -50,9 +58,13 @@ class Anatomy(Part):
         self._drawn: list[_Drawn] = []
         self._visible = True
         self._translucent = False  # by the layer switch
+        self._ghosts = True  # likewise
         self._turn = 0
 
     def set_scene(self, scene: Scene) -> None:
+        for drawn in self._drawn:
+            if drawn.ghost is not None:
+                drawn.ghost.remove()
         for drawn in self._drawn[1:]:
             if drawn.mesh is not None:
                 drawn.mesh.remove()
@@ -73,6 +85,8 @@ class Anatomy(Part):
                 f"/anatomy/structure{k}", drawn, built.vertices_shown, built.faces_shown,
                 built.fronts_only,
             )  # fmt: skip
+        if scene.options.tracker is not None:
+            self._add_ghosts(scene)
 
     def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
         """Draw this part of the mesh, vertices (n, 3) [m] and faces (m, 3); None: all of it."""
@@ -101,6 +115,11 @@ class Anatomy(Part):
         """Whether the switch of a structure is on."""
         return 0 <= number < len(self._drawn) and self._drawn[number].visible
 
+    def show_ghosts(self, on: bool) -> None:
+        """Layer switch of where the guard believes structures to be."""
+        self._ghosts = on
+        self._draw()
+
     def set_translucent(self, on: bool) -> None:
         """Layer switch of the translucency."""
         self._translucent = on
@@ -113,6 +132,7 @@ class Anatomy(Part):
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         self.set_looks(shown.options.anatomy)
+        self._move(shown)
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
         self.keep_tip_visible(eyes, np.array(shown.tip.translation))
 
@@ -126,6 +146,34 @@ class Anatomy(Part):
             if drawn.visible and drawn.hides(eyes, p_tip):
                 drawn.hidden_at = time.monotonic()
         self._draw()
+
+    def _move(self, shown: Moment) -> None:
+        """Put all structures where they are, and their ghosts where the guard believes them."""
+        for k, drawn in enumerate(self._drawn):
+            pose = shown.pose(k)
+            if pose is None and drawn.pose is None:
+                continue
+            drawn.pose = pose
+            place(drawn.mesh, pose)
+            place(drawn.ghost, shown.believed(k))
+
+    def _add_ghosts(self, scene: Scene) -> None:
+        shapes = [(scene.vertices_shown, scene.faces_shown)]
+        shapes += [(one.vertices_shown, one.faces_shown) for one in scene.structures]
+        for k, (drawn, (vertices, faces)) in enumerate(zip(self._drawn, shapes, strict=True)):
+            if scene.courses[k] is None:
+                continue
+            drawn.ghost = self._api.add_mesh_simple(
+                f"/anatomy/ghost{k}",
+                vertices=to_buffer(vertices),
+                faces=faces.astype(np.uint32),
+                color=palette.GHOST,
+                opacity=GHOST_OPACITY,
+                side="front",
+                cast_shadow=False,
+                receive_shadow=False,
+                visible=self._visible and drawn.visible and self._ghosts,
+            )
 
     def _opacity(self, drawn: _Drawn) -> float | None:
         hides = time.monotonic() < drawn.hidden_at + HOLD
@@ -144,6 +192,9 @@ class Anatomy(Part):
                 mesh.visible = visible
             if tuple(mesh.color) != drawn.color:
                 mesh.color = drawn.color
+            ghost = drawn.ghost
+            if ghost is not None and ghost.visible != (visible and self._ghosts):
+                ghost.visible = visible and self._ghosts
 
     def _add(
         self,
@@ -153,7 +204,7 @@ class Anatomy(Part):
         faces: NDArray[np.int64],
         fronts_only: bool,
     ) -> viser.MeshHandle:
-        return self._api.add_mesh_simple(
+        mesh = self._api.add_mesh_simple(
             name,
             vertices=to_buffer(vertices),
             faces=faces.astype(np.uint32),
@@ -165,6 +216,9 @@ class Anatomy(Part):
             cast_shadow=False,
             visible=self._visible and drawn.visible,
         )
+        if drawn.pose is not None:
+            place(mesh, drawn.pose)
+        return mesh
 
 
 def _sources(scene: Scene) -> list[tuple[str, str | None, str | None]]:

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view.part import Clients, Part
 from app.view.units import to_buffer, to_view

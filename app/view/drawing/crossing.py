@@ -5,7 +5,7 @@ from __future__ import annotations
 import viser
 
 from app.control.watch import Crossing
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.view import palette
 from app.view.drawing import nodes
 from app.view.drawing.labels import Labels

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
 import vf
-from app.control.engine import guarded
-from app.recording.playback import Moment
+from app.scene.moment import Moment, placed
 from app.view import palette
-from app.view.camera import DIRECTION
 from app.view.drawing import nodes
 from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
@@ -96,11 +95,12 @@ class FixtureDrawing(Part):
         if step is not None:
             p_tip = np.asarray(step.tip.translation)
             scene = shown.scene
-            around = guarded(shown.options, scene.surfaces)
+            around = shown.guarded
             self.draw(
                 p_tip, step.radius, step.planes, step.multipliers,
-                [surface for _, surface in around], scene.arm.capsules,
-                [str(own.name) for own, _ in around] if scene.structures else (),
+                [one.surface for one in around], scene.arm.capsules,
+                [str(one.own.name) for one in around] if scene.structures else (),
+                [one.believed for one in around],
             )  # fmt: skip
 
     def draw(
@@ -112,6 +112,7 @@ class FixtureDrawing(Part):
         surfaces: Sequence[vf.Surface],
         capsules: Sequence[Capsule] = (),
         names: Sequence[str] = (),
+        poses: Sequence[pin.SE3 | None] = (),
     ) -> None:
         """Draw planes around p_tip (3,), which they pushed back by multipliers (m,) [m].
 
@@ -119,6 +120,7 @@ class FixtureDrawing(Part):
             surfaces: those that the planes are of, by fixture.
             capsules: those of the arm; without them all planes are the tip's.
             names: of the surfaces, if there are several.
+            poses: of the surfaces, as the guard believes; None: it rests. Empty: all do.
         """
         self._sphere.visible = self.show_sphere and not self.suppressed
         if self._sphere.visible:
@@ -126,7 +128,7 @@ class FixtureDrawing(Part):
             self._sphere.scale = float(to_view(radius))
         chosen = chosen_planes(planes, p_tip, radius)
         self._draw_planes(p_tip, radius, planes, multipliers, chosen, capsules, names)
-        self._draw_triangles(radius, planes, surfaces, chosen)
+        self._draw_triangles(radius, planes, surfaces, chosen, poses)
 
     def hide(self) -> None:
         """Hide everything until the next `draw`."""
@@ -175,7 +177,7 @@ class FixtureDrawing(Part):
         near = (rank < MAX_DISCS) | active | (parts >= 0)
         wxyzs, positions = _padded(turn_z_to(normals)), _padded(to_view(centres))
         # Off the centre of the disc, where the tool would hide the arrow.
-        feet = _padded(to_view(centres + 0.8 * radii[:, None] * _towards_viewer(normals)))
+        feet = _padded(to_view(centres + 0.8 * radii[:, None] * nodes.towards_viewer(normals)))
         looks = [palette.LOOKS[vf.Rule(rule)].color for rule in planes.rules[chosen]]
         if strongest > MIN_PUSH:
             looks = [
@@ -198,7 +200,7 @@ class FixtureDrawing(Part):
             most = int(pushes.argmax())
             # Slightly above the plane's own rim; the arrow clear of the tool.
             ring = centres[most] + 0.015 * radius * normals[most]
-            foot = ring + 0.8 * radii[most] * _towards_viewer(normals[most][None])[0]
+            foot = ring + 0.8 * radii[most] * nodes.towards_viewer(normals[most][None])[0]
             for node, place in zip(self._blocking, (ring, foot), strict=True):
                 node.wxyz = wxyzs[most]
                 node.position = to_view(place)
@@ -231,8 +233,9 @@ class FixtureDrawing(Part):
         planes: vf.Planes,
         surfaces: Sequence[vf.Surface],
         chosen: NDArray[np.intp],
+        poses: Sequence[pin.SE3 | None],
     ) -> None:
-        chosen, corners = _triangles(planes, surfaces, chosen)
+        chosen, corners = _triangles(planes, surfaces, chosen, poses)
         shown = self.show_triangles and not (self.suppressed or self.inspected)
         lift = 0.01 * radius  # along the normals, clear of the mesh's own triangles [m]
         normals = planes.normals[chosen][:, None, :]
@@ -262,7 +265,10 @@ def fixture_of(planes: vf.Planes, k: int) -> int:
 
 
 def _triangles(
-    planes: vf.Planes, surfaces: Sequence[vf.Surface], chosen: NDArray[np.intp]
+    planes: vf.Planes,
+    surfaces: Sequence[vf.Surface],
+    chosen: NDArray[np.intp],
+    poses: Sequence[pin.SE3 | None] = (),
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Those of the chosen planes that are of triangles, and their corners (k, 3, 3).
 
@@ -273,7 +279,8 @@ def _triangles(
         fixture, triangle = fixture_of(planes, k), int(planes.triangles[k])
         if fixture < len(surfaces) and 0 <= triangle < len(surfaces[fixture].faces):
             rows.append(k)
-            corners.append(surfaces[fixture].vertices[surfaces[fixture].faces[triangle]])
+            shape = surfaces[fixture].vertices[surfaces[fixture].faces[triangle]]
+            corners.append(placed(poses[fixture] if poses else None, shape))
     return np.array(rows, dtype=np.intp), np.array(corners).reshape(-1, 3, 3)
 
 
@@ -320,13 +327,6 @@ def _touch(
             centres[row] = foot + (planes.offsets[k] - thickness - normal @ foot) * normal
             radii[row] = min(max(thickness, CONTACT[0]), CONTACT[1])
     return parts
-
-
-def _towards_viewer(normals: FloatArray) -> FloatArray:
-    """Unit vectors (m, 3) in the planes, towards the camera of the first view."""
-    along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    return np.asarray(along / np.maximum(length, 1e-6))
 
 
 def _padded(rows: NDArray[Any]) -> NDArray[np.float32]:

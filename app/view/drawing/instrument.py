@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import palette
 from app.view.drawing import nodes

@@ -18,7 +18,7 @@ import pinocchio as pin
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.view.camera import NEAR_PLANE
 from app.view.part import Clients, Part
 

@@ -5,9 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import viser
+from numpy.typing import NDArray
 
+from app.view.camera import DIRECTION
 from app.view.palette import Rgb
+from app.view.units import pose_to_view
+
+FloatArray = NDArray[np.float64]
 
 
 def mesh(api: viser.SceneApi, name: str, color: Rgb, **more: Any) -> viser.MeshHandle:
@@ -59,6 +65,12 @@ def ball(api: viser.SceneApi, name: str, color: Rgb) -> viser.IcosphereHandle:
     )
 
 
+def place(node: viser.SceneNodeHandle | None, pose: pin.SE3 | None) -> None:
+    """Put a node whose geometry is in the base frame where a pose takes it; None: where it is."""
+    if node is not None:
+        node.wxyz, node.position = pose_to_view(pin.SE3.Identity() if pose is None else pose)
+
+
 def add_lights(api: viser.SceneApi) -> None:
     """Hemisphere light and one directional light, without shadows."""
     # viser's own lights wash out light colours such as bone.
@@ -69,3 +81,10 @@ def add_lights(api: viser.SceneApi) -> None:
         "/light/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=1.7
     )
     api.add_light_directional("/light/sun", intensity=1.9, position=(60.0, 10.0, 60.0))
+
+
+def towards_viewer(normals: FloatArray) -> FloatArray:
+    """Unit vectors (m, 3) in the planes, towards the camera of the first view."""
+    along = DIRECTION - (normals @ DIRECTION)[:, None] * normals
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(along / np.maximum(length, 1e-6))

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.view import palette
 from app.view.drawing import nodes
 from app.view.drawing.labels import Labels

@@ -6,11 +6,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 from trimesh import intersections
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.view.drawing.anatomy import Anatomy
 from app.view.part import Clients, Part
@@ -76,12 +77,19 @@ class Section(Part):
         self._client_id = None if self.on else client.client_id
 
     def frame(self, shown: Moment, clients: Clients) -> None:
-        self.update(shown.scene, clients, np.array(shown.tip.translation))
+        self.update(shown.scene, clients, np.array(shown.tip.translation), shown.pose(0))
 
     def update(
-        self, scene: Scene, clients: dict[int, viser.ClientHandle], p_tip: FloatArray
+        self,
+        scene: Scene,
+        clients: dict[int, viser.ClientHandle],
+        p_tip: FloatArray,
+        pose: pin.SE3 | None = None,
     ) -> None:
-        """Keep the cut at the tip, (3,) [m], facing the eye."""
+        """Keep the cut at the tip, (3,) [m], facing the eye.
+
+        The cut is in the frame in which the mesh rests; its pose is where it is now.
+        """
         client = None if self._client_id is None else clients.get(self._client_id)
         if client is None:
             self._client_id = self._requested = None
@@ -93,7 +101,8 @@ class Section(Part):
         away = client.camera.position - to_view(p_tip)
         length = float(np.linalg.norm(away))
         if now > self._requested_at + PERIOD and length > 0.0:
-            cut = Cut(scene, np.array(p_tip), away / length)
+            normal = away / length if pose is None else (away / length) @ pose.rotation
+            cut = Cut(scene, np.array(seen_from(pose, p_tip)), normal)
             if not cut.near(self._requested):
                 self._requested_at, self._requested = now, cut
                 self._worker.request(cut)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.view import palette
 from app.view.camera import DIRECTION
 from app.view.drawing import nodes

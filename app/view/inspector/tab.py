@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import vf
 from app.control.engine import guarded
 from app.control.messages import Telemetry
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
@@ -40,6 +40,10 @@ _NOTE = "margin:0 .75em .4em;font-size:11.5px;line-height:1.3;color:var(--vf-sof
 _INTRO = (
     f"<div style='{_NOTE}'>Colours every triangle in the motion sphere by the condition of "
     "the paper that it meets. Click one on the anatomy, or step through them.</div>"
+)
+_MOVING = (
+    f"<div style='{_NOTE}'>The inspector explains anatomy that rests; in this scene structures "
+    "move.</div>"
 )
 
 
@@ -83,6 +87,9 @@ class InspectorTab(Part):
         self._surface = scene.surface
         self._near.hide()
         self._drawn = self._step = None
+        if scene.moves and self._on:
+            self._context.server.scene.remove_click_callback(self._clicked)
+            self._on = False
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         telemetry = shown.telemetry
@@ -123,7 +130,11 @@ class InspectorTab(Part):
 
     def read_out(self, shown: Moment) -> None:
         self._freeze.value = self._exploring
-        self._freeze.disabled = self._cases.disabled = not self._context.source.live
+        live = self._context.source.live and not self._scene.moves
+        self._freeze.disabled = self._cases.disabled = not live
+        self._inspect.disabled = self._scene.moves
+        self._inspect.value = self._inspect.value and not self._scene.moves
+        self._intro.content = _MOVING if self._scene.moves else _INTRO
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
         self._intro.visible = not self._on
@@ -260,7 +271,7 @@ class InspectorTab(Part):
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         scene = self._context.server.scene
-        if on == self._on:
+        if on == self._on or (on and self._scene.moves):
             return
         if on:
             scene.on_click()(self._clicked)  # type: ignore[arg-type]
@@ -302,7 +313,7 @@ class InspectorTab(Part):
             self._rule = rule
 
     def _explore(self, client: viser.ClientHandle, on: bool) -> None:
-        if on == self._exploring:
+        if on == self._exploring or (on and self._scene.moves):
             return
         if not on:
             self._stop_exploring()
@@ -316,7 +327,7 @@ class InspectorTab(Part):
         if name != HERE and name not in figures.CASES:
             return
         if not self._exploring:
-            if name == HERE:
+            if name == HERE or self._scene.moves:
                 return
             self._start_exploring(client)
         if name == HERE:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 import vf
@@ -18,7 +19,9 @@ from app.judges import boxes
 from app.judges.meeting import sees
 from app.judges.nearest import gaps
 from app.judges.oracles import OVERLAP_TOLERANCE
+from app.scene.moment import Placed, seen_from
 from app.scene.scene import Scene
+from robots import Arm
 
 FloatArray = NDArray[np.float64]
 
@@ -79,26 +82,33 @@ def whereabouts(
     crossing: Crossing | None,
     trocar: float = 0.0,
     around: Sequence[tuple[str, vf.Surface]] = (),
+    poses: Sequence[pin.SE3 | None] = (),
 ) -> Whereabouts:
     """Position of the tip p_tip (3,) [m], base frame, of the arm at joints q (n,).
 
     Args:
         trocar: radius of the trocar zone [m], in which the shaft may be in the mesh.
         around: the structures that count, each with its name; empty: the scene's mesh.
+        poses: T_rest_now of each; None: it rests. Empty: all do.
     """
     around, p = around or (("", scene.surface),), np.asarray(p_tip, dtype=np.float64)
-    inside = [surface.inside(p) for _, surface in around]
-    distances = [surface.nearest(p)[0] for _, surface in around]
+    poses = poses or [None] * len(around)
+    own = [seen_from(pose, p) for pose in poses]
+    inside = [surface.inside(x) for (_, surface), x in zip(around, own, strict=True)]
+    distances = [surface.nearest(x)[0] for (_, surface), x in zip(around, own, strict=True)]
     # Inside of something, that counts, however near another one is.
     k = min(range(len(around)), key=lambda k: (not inside[k], distances[k]))
     beyond, length = False, 0.0
     if crossing is not None:
         length = float(np.linalg.norm(p - crossing.point))
         near = (crossing.before, np.asarray(scene.T_base_start.translation))
-        met = [s for name, s in around if name == crossing.structure] or [s for _, s in around]
-        seen = any(all(sees(surface, p, y) for surface in met) for y in near)
+        every = [(name, s, pose) for (name, s), pose in zip(around, poses, strict=True)]
+        met = [one for one in every if one[0] == crossing.structure] or every
+        seen = any(
+            all(sees(s, seen_from(pose, p), seen_from(pose, y)) for _, s, pose in met) for y in near
+        )
         beyond = crossing.centre and not any(inside) and not seen
-    part, part_gap, in_mesh = _parts(scene, q, trocar, [surface for _, surface in around])
+    part, part_gap, in_mesh = _parts(scene, q, trocar, [s for _, s in around], poses)
     return Whereabouts(
         distance=distances[k],
         tip_radius=tip_radius,
@@ -115,11 +125,16 @@ def whereabouts(
 
 
 def _parts(
-    scene: Scene, q: ArrayLike, trocar: float, surfaces: Sequence[vf.Surface]
+    scene: Scene,
+    q: ArrayLike,
+    trocar: float,
+    surfaces: Sequence[vf.Surface],
+    poses: Sequence[pin.SE3 | None],
 ) -> tuple[str, float, tuple[str, ...]]:
     """Of a `Whereabouts`: part, part_gap, in_mesh."""
     capsules = scene.arm.capsules
-    found = np.min([gaps(boxes.of(one), scene.arm, q, trocar) for one in surfaces], axis=0)
+    pairs = zip(surfaces, poses, strict=True)
+    found = np.min([part_gaps(one, scene.arm, q, trocar, pose) for one, pose in pairs], axis=0)
     in_mesh = tuple(
         capsule.name
         for k, (capsule, gap) in enumerate(zip(capsules, found, strict=True))
@@ -129,9 +144,28 @@ def _parts(
     return capsules[k].name, float(found[k]), in_mesh
 
 
-def nearest_of(surfaces: Sequence[vf.Surface], p_base: ArrayLike) -> vf.Surface:
-    """The surface that is nearest to p_base (3,)."""
-    return min(surfaces, key=lambda surface: surface.nearest(p_base)[0])
+class _Seen:
+    """An arm as a structure sees that has moved: what `gaps` asks of it."""
+
+    def __init__(self, arm: Arm, pose: pin.SE3) -> None:
+        self.capsules = arm.capsules
+        self._arm, self._pose = arm, pose
+
+    def axes(self, q: ArrayLike) -> FloatArray:
+        return seen_from(self._pose, self._arm.axes(q))
+
+
+def part_gaps(
+    surface: vf.Surface, arm: Arm, q: ArrayLike, trocar: float, pose: pin.SE3 | None = None
+) -> FloatArray:
+    """`app.judges.nearest.gaps` of a surface that has moved: T_rest_now; None: it rests."""
+    seen = arm if pose is None else _Seen(arm, pose)
+    return gaps(boxes.of(surface), seen, q, trocar)  # type: ignore[arg-type]
+
+
+def nearest_of(structures: Sequence[Placed], p_base: ArrayLike) -> Placed:
+    """The structure that is nearest to p_base (3,)."""
+    return min(structures, key=lambda one: one.surface.nearest(one.seen(p_base))[0])
 
 
 def signed_distance(surface: vf.Surface, p_base: ArrayLike) -> float:

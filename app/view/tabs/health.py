@@ -6,6 +6,7 @@ import html
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
@@ -74,6 +75,7 @@ class HealthDrawing:
     """Draws marks, each kind in its colour."""
 
     def __init__(self, api: viser.SceneApi) -> None:
+        self._root = api.add_frame("/health", show_axes=False)
         self._faces = {
             name: nodes.mesh(api, f"/health/{name}", rgb, flat_shading=True)
             for name, rgb in (("defects", DEFECT), ("notes", NOTE))
@@ -112,6 +114,10 @@ class HealthDrawing:
             if len(found.vertices):
                 self._points.points = to_buffer(found.vertices)
         self._sync()
+
+    def move(self, pose: pin.SE3 | None) -> None:
+        """Put the marks where a pose takes the mesh; None: where it rests."""
+        nodes.place(self._root, pose)
 
     def show(self, on: bool) -> None:
         """Layer switch."""

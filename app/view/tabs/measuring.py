@@ -7,12 +7,12 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from app.control.engine import guarded
 from app.control.messages import Telemetry
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.settings import Options
 from app.view.tabs.depth import Whereabouts, whereabouts
 from app.view.tabs.readouts import Extras
+from app.view.tabs.rows import Motion
 
 
 def fixture_names(options: Options) -> tuple[str, ...]:
@@ -40,12 +40,15 @@ class Measuring:
             p_tip = np.array(step.tip.translation)
             reach = step.radius + shown.options.tip_radius
             options = shown.options
-            around = [(str(own.name), one) for own, one in guarded(options, scene.surfaces)]
-            around = around or [(scene.mesh_name, scene.surface)]
-            in_sphere = sum(len(one.within(p_tip, reach).triangles) for _, one in around)
+            placed = shown.guarded or shown.structures[:1]
+            in_sphere = sum(
+                len(one.surface.within(one.seen(p_tip), reach).triangles) for one in placed
+            )
             where = whereabouts(
                 scene, telemetry.q, p_tip, options.tip_radius, shown.crossing,
-                options.trocar if options.guards_tool else 0.0, around,
+                options.trocar if options.guards_tool else 0.0,
+                [(str(one.own.name), one.surface) for one in placed],
+                [one.pose for one in placed],
             )  # fmt: skip
             before = self._before
             if before is not None and self._tip_before is not None:
@@ -63,5 +66,14 @@ class Measuring:
         structures = fixture_names(shown.options) if scene.structures else ()
         return Extras(
             in_sphere, speed, joints, silent, self._count, where, unwatched, ended, parts,
-            structures,
+            structures, _motion(shown),
         )  # fmt: skip
+
+
+def _motion(shown: Moment) -> Motion | None:
+    """The read-outs of structures that move; None: none does."""
+    if not shown.moves:
+        return None
+    beliefs = [belief for belief in shown.places.beliefs if belief is not None]
+    age = max((belief.age for belief in beliefs), default=0.0)
+    return Motion(shown.contacts, bool(beliefs), shown.places.margin, age)

@@ -15,17 +15,17 @@ import viser
 import meshes
 from app.files import size
 from app.recording.outline import outline
-from app.recording.playback import Moment
 from app.refused import Refused
 from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view import palette
 from app.view.clients.uploads import Receiver
 from app.view.context import PageContext
 from app.view.controls import dialogs
-from app.view.part import Part
+from app.view.part import Clients, Part
 from app.view.tabs import health
 from app.view.tabs.recorder import recordings
 from app.view.tabs.structure_list import StructureList
@@ -48,6 +48,7 @@ class MeshTab(Part):
         self._notify = context.notify
         self._escape = context.escape
         self._drawing = health.HealthDrawing(context.server.scene)
+        self._moved = False  # the marks, with the mesh
         self._examining = threading.Lock()
         self._scene: Scene | None = None  # drawn
         # The examined scene, its report, marks and lift.
@@ -142,6 +143,11 @@ class MeshTab(Part):
         if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
         self._show_report()
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        if shown.moves or self._moved:
+            self._moved = shown.moves
+            self._drawing.move(shown.pose(0))
 
     def read_out(self, shown: Moment) -> None:
         self._structures.read_out(shown)

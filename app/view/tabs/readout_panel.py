@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.session import Session
 from app.view.part import Part
 from app.view.source import Source

@@ -16,13 +16,7 @@ from app.settings import Options
 from app.view import palette
 from app.view.drawing.fixture import MIN_PUSH
 from app.view.tabs.depth import Whereabouts
-
-_HEAD = "padding:5px 0 1px;font-weight:600;color:var(--vf-faint);font-size:11px"
-_NAME = "padding:0 8px 0 0;color:var(--vf-soft);white-space:nowrap"
-_VALUE = "padding:0;text-align:right;white-space:nowrap"
-_UNIT = "padding:0 0 0 5px;color:var(--vf-faint)"
-_GLOSS = "color:var(--vf-faint);font-size:10.5px"
-_ALARM = f"padding:0 5px;background:{palette.css(palette.ALARM)};color:#fff"
+from app.view.tabs.rows import NAME, UNIT, VALUE, Motion, motion_rows, row, section, table
 
 SILENCE = 0.7  # a control loop without new telemetry for longer is reported [s]
 # A watchdog in CSS: each read-out replaces these elements and so restarts their animations. Three
@@ -52,6 +46,7 @@ class Extras:
         ended: why the control loop ended by itself; empty: it did not.
         parts: names of the arm's capsules.
         structures: where the scene has several, names of those that are guarded, by fixture.
+        motion: where structures move; None: none does.
     """
 
     in_sphere: int
@@ -64,56 +59,49 @@ class Extras:
     ended: str = ""
     parts: tuple[str, ...] = ()
     structures: tuple[str, ...] = ()
+    motion: Motion | None = None
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
     """The table of read-outs."""
     stats, step = telemetry.stats, telemetry.step
-    rows = [_section("Tool")]
+    rows = [section("Tool")]
     if step is None:
-        rows.append(_row("waiting for the first tick", ""))
+        rows.append(row("waiting for the first tick", ""))
     else:
         rows += [
             *_distance_rows(extras),
-            _row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
-            _row("proxy to tool", _error(telemetry), "mm"),
+            *motion_rows(step, extras.motion),
+            row("tool speed", f"{extras.speed * 1e3:.1f}", "mm/s"),
+            row("proxy to tool", _error(telemetry), "mm"),
             _force_row(float(np.linalg.norm(step.force))),
-            _section("Fixture"),
-            _row("rule", options.rule),
-            _row("guarded", "whole tool" if options.guards_tool else "tip"),
-            _row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
-            _row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
-            _row("active planes", f"{len(step.planes):,}", " "),
+            section("Fixture"),
+            row("rule", options.rule),
+            row("guarded", "whole tool" if options.guards_tool else "tip"),
+            row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
+            row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
+            row("active planes", f"{len(step.planes):,}", " "),
             *_by_condition(step),
             *_by_part(step, options, extras),
             *_by_structure(step, extras),
-            _row("QP", palette.SOLVER_HELP[step.solver]),
-            _row("outcome", "loop ended" if extras.ended else step.status.name),
+            row("QP", palette.SOLVER_HELP[step.solver]),
+            row("outcome", "loop ended" if extras.ended else step.status.name),
         ]
     rows += [
-        _section("Control loop"),
-        _row("rate", "0" if extras.ended else f"{stats.rate:,.0f}", "Hz"),
-        _row("tick, median", f"{stats.tick_median * 1e6:,.0f}", "µs"),
-        _row("tick, worst of 1 s", f"{stats.tick_worst * 1e6:,.0f}", "µs"),
-        _row("overruns", f"{stats.overruns:,}", " "),
+        section("Control loop"),
+        row("rate", "0" if extras.ended else f"{stats.rate:,.0f}", "Hz"),
+        row("tick, median", f"{stats.tick_median * 1e6:,.0f}", "µs"),
+        row("tick, worst of 1 s", f"{stats.tick_worst * 1e6:,.0f}", "µs"),
+        row("overruns", f"{stats.overruns:,}", " "),
     ]
-    outcomes = [_section("Ticks by outcome")]
+    outcomes = [section("Ticks by outcome")]
     outcomes += [
-        _row(s.name, f"{stats.counts.get(s, 0):,}", gloss=palette.STATUS_HELP[s]) for s in vf.Status
+        row(s.name, f"{stats.counts.get(s, 0):,}", gloss=palette.STATUS_HELP[s]) for s in vf.Status
     ]
     mark = f"class='vf-numbers' data-count='{extras.count}'"
     return (
-        f"<div style='position:relative'>{_WATCHDOG}{_table(rows, mark)}{_table(outcomes, mark)}"
+        f"<div style='position:relative'>{_WATCHDOG}{table(rows, mark)}{table(outcomes, mark)}"
         "</div>"
-    )
-
-
-def _table(rows: list[str], mark: str) -> str:
-    return (
-        f"<table {mark} style='width:calc(100% - 1.5em);margin:0 .75em .5em;font-size:12px;"
-        "line-height:1.32;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
-        + "".join(rows)
-        + "</table>"
     )
 
 
@@ -185,32 +173,32 @@ def _distance_rows(extras: Extras) -> list[str]:
     """Distance, depth and crossings, whatever the rule."""
     where = extras.where
     if where is None:
-        return [_row("distance to surface", "–", "mm"), _row("depth below surface", "–", "mm")]
+        return [row("distance to surface", "–", "mm"), row("depth below surface", "–", "mm")]
     distance = f"{where.distance * 1e3:.3f}"
     if where.tip_radius > 0.0:
         rows = [
-            _row("tip’s centre to surface", distance, "mm"),
-            _row("tip’s ball to surface", f"{where.gap * 1e3:.3f}", "mm"),
+            row("tip’s centre to surface", distance, "mm"),
+            row("tip’s ball to surface", f"{where.gap * 1e3:.3f}", "mm"),
         ]
     else:
-        rows = [_row("distance to surface", distance, "mm")]
+        rows = [row("distance to surface", distance, "mm")]
     if where.beyond:
-        rows.append(_row("depth below crossing", f"{where.from_crossing * 1e3:.3f}", "mm"))
+        rows.append(row("depth below crossing", f"{where.from_crossing * 1e3:.3f}", "mm"))
     else:
         outside = "0.000" if where.closed else "–"  # an open mesh has no inside
-        rows.append(_row("depth below surface", distance if where.inside else outside, "mm"))
+        rows.append(row("depth below surface", distance if where.inside else outside, "mm"))
     if extras.structures:
-        rows.insert(0, _row("nearest structure", _short(where.structure)))
+        rows.insert(0, row("nearest structure", _short(where.structure)))
     if len(extras.parts) > 1:
         nearest = where.part_gap if np.isfinite(where.part_gap) else 0.0
-        rows.append(_row(f"nearest part: {where.part}", f"{nearest * 1e3:.3f}", "mm"))
+        rows.append(row(f"nearest part: {where.part}", f"{nearest * 1e3:.3f}", "mm"))
     seen, name = "none", "crossing"
     if where.crossing is not None:
         name = "crossing" if where.crossing.centre else "touch"
         seen = f"tick {where.crossing.tick:,}"
     if extras.unwatched:
         seen += f"; {extras.unwatched:,} ticks unseen"
-    rows.append(_row(name, seen, alarm=where.crossing is not None))
+    rows.append(row(name, seen, alarm=where.crossing is not None))
     return rows
 
 
@@ -233,6 +221,11 @@ def _state(
         return f"Paused. {place}Run, or step tick by tick.", orange
     if telemetry.stale:
         return "Stale: no message from the dragging client, the tool holds.", red
+    if telemetry.lost:
+        return "Stale tracker: a structure was not seen for too long, the tool holds.", red
+    if step is not None and step.status == vf.Status.OVERTAKEN:
+        depth = f"{step.violation * 1e3:.3f} mm"
+        return f"Overtaken: the anatomy came faster than the arm yields, by up to {depth}.", red
     if step is not None and step.status == vf.Status.INSIDE:
         return "Inside the anatomy: only motion towards the outside passes.", red
     if step is not None and step.status == vf.Status.REFUSED:
@@ -257,7 +250,8 @@ def _state(
     if options.rule == "off":
         return "No fixture (rule off): nothing stops the tool.", orange
     if step.status == vf.Status.RECOVERING:
-        return "Recovering: the tool is led out to the standoff.", orange
+        to = "standoff" if extras.motion is None else "standoff and margin"
+        return f"Recovering: the tool is led out to the {to}.", orange
     if len(step.planes) and bool((step.multipliers > MIN_PUSH).any()):
         force = f"{palette.FORCE_NAME} {np.linalg.norm(step.force):.2f} N"
         who = holders(step, extras.structures)
@@ -315,7 +309,7 @@ def _by_structure(step: vf.Step, extras: Extras) -> list[str]:
         return []
     who = holders(step, extras.structures)
     more = f" and {len(who) - 1} more" if len(who) > 1 else ""
-    return [_row("held by", _short(who[0]) + more if who else "–")]
+    return [row("held by", _short(who[0]) + more if who else "–")]
 
 
 def _short(name: str) -> str:
@@ -332,7 +326,7 @@ def _by_part(step: vf.Step, options: Options, extras: Extras) -> list[str]:
     if not options.guards_tool or len(extras.parts) < 2:
         return []
     counts = _counts(step, extras, np.ones(len(step.planes), dtype=bool))
-    return [_row(f"of the {name}", f"{n:,}", " ") for name, n in counts.items()]
+    return [row(f"of the {name}", f"{n:,}", " ") for name, n in counts.items()]
 
 
 def _by_condition(step: vf.Step) -> list[str]:
@@ -343,8 +337,8 @@ def _by_condition(step: vf.Step) -> list[str]:
         if n or rule in (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY):
             dot = f"<span style='color:{palette.css(look.color)}'>■</span> {html.escape(look.name)}"
             rows.append(
-                f"<tr><td style='{_NAME};padding-left:8px'>{dot}</td>"
-                f"<td style='{_VALUE}'>{n}</td><td></td></tr>"
+                f"<tr><td style='{NAME};padding-left:8px'>{dot}</td>"
+                f"<td style='{VALUE}'>{n}</td><td></td></tr>"
             )
     return rows
 
@@ -352,9 +346,9 @@ def _by_condition(step: vf.Step) -> list[str]:
 def _force_row(force: float) -> str:
     color = palette.css(palette.FORCE)
     return (
-        f"<tr><td style='{_NAME}'>{palette.FORCE_NAME}</td>"
-        f"<td style='{_VALUE};color:{color};font-weight:600'>{force:.2f}</td>"
-        f"<td style='{_UNIT}'>N</td></tr>"
+        f"<tr><td style='{NAME}'>{palette.FORCE_NAME}</td>"
+        f"<td style='{VALUE};color:{color};font-weight:600'>{force:.2f}</td>"
+        f"<td style='{UNIT}'>N</td></tr>"
     )
 
 
@@ -363,24 +357,3 @@ def _error(telemetry: Telemetry) -> str:
         return "–"
     gap = telemetry.target.translation - telemetry.step.tip.translation
     return f"{np.linalg.norm(gap) * 1e3:.2f}"
-
-
-def _section(title: str) -> str:
-    return f"<tr><td colspan=3 style='{_HEAD}'>{html.escape(title)}</td></tr>"
-
-
-def _row(name: str, value: str, unit: str = "", gloss: str = "", *, alarm: bool = False) -> str:
-    """One row. Numbers have a unit, " " for a count; a text without a unit spans two columns.
-
-    An alarm is white on red, as the banner is, which may be scrolled out of view.
-    """
-    if gloss:
-        gloss = f" <span style='{_GLOSS}'>{html.escape(gloss)}</span>"
-    text = html.escape(value)
-    if alarm:
-        text = f"<b style='{_ALARM}'>{text}</b>"
-    return f"<tr><td style='{_NAME}'>{html.escape(name)}{gloss}</td>" + (
-        f"<td style='{_VALUE}'>{text}</td><td style='{_UNIT}'>{unit}</td></tr>"
-        if unit
-        else f"<td colspan=2 style='{_VALUE}'>{text}</td></tr>"
-    )

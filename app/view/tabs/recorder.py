@@ -15,9 +15,9 @@ import viser
 from app import files
 from app.recording.format import SUFFIX
 from app.recording.outline import outline
-from app.recording.playback import Moment
 from app.recording.read import read, under_way
 from app.refused import Refused
+from app.scene.moment import Moment
 from app.view import palette
 from app.view.clients.pictures import Pictures
 from app.view.context import PageContext

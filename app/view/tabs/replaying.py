@@ -11,8 +11,9 @@ import numpy as np
 import viser
 
 from app.recording.format import Recording
-from app.recording.playback import Moment, Player, Transport, build_scenes
+from app.recording.playback import Player, Transport, build_scenes
 from app.refused import Refused
+from app.scene.moment import Moment
 from app.scene.scene import Progress
 from app.scene.worker import Stop
 from app.view import camera

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.control.engine import guarded
 from app.control.messages import Telemetry
-from app.recording.playback import Moment
+from app.scene.moment import Moment, Placed
 from app.scene.scene import Scene
 from app.settings import Options
 from app.view import palette
@@ -29,7 +28,7 @@ FloatArray = NDArray[np.float64]
 
 SPAN = 20.0  # of the plots [s]
 PERIOD = 0.1  # between two samples [s]
-PLOT_PERIOD = 0.5  # between two updates: a browser redraws all five plots [s]
+PLOT_PERIOD = 0.5  # between two updates: a browser redraws all plots [s]
 LENGTH = round(SPAN / PERIOD)
 
 WHEN_OFF, ALWAYS, NEVER = "when rule is off", "always", "never"
@@ -66,15 +65,22 @@ PLOTS = (
         4.0,
     ),
     Plot(
+        "Structure moved, at the tip [mm]",
+        (Curve("true", palette.BLUE), Curve("believed", palette.ORANGE)),
+        1.0,
+    ),
+    Plot(
         "Tick, median and worst [µs]",
         (Curve("median", palette.BLUE), Curve("worst", palette.ORANGE)),
         100.0,
     ),
 )
+MOTION = 4
+"""Number of the plot that is there only where structures move."""
 CURVES = sum(len(plot.curves) for plot in PLOTS)
 
 
-def sample(telemetry: Telemetry, surfaces: Sequence[vf.Surface]) -> FloatArray | None:
+def sample(telemetry: Telemetry, structures: Sequence[Placed]) -> FloatArray | None:
     """One value per curve, in the order and units of `PLOTS`; None before the first tick."""
     step, stats = telemetry.step, telemetry.stats
     if step is None:
@@ -83,14 +89,33 @@ def sample(telemetry: Telemetry, surfaces: Sequence[vf.Surface]) -> FloatArray |
     gap = 0.0 if telemetry.target is None else np.linalg.norm(telemetry.target.translation - p_tip)
     return np.array(
         [
-            signed_distance(nearest_of(surfaces, p_tip), p_tip) * 1e3,
+            _depth(structures, p_tip) * 1e3,
             gap * 1e3,
             np.linalg.norm(step.force),
             *(int((step.planes.rules == rule).sum()) for rule in CONDITIONS),
+            *(1e3 * length for length in _moved(structures, p_tip)),
             stats.tick_median * 1e6,
             stats.tick_worst * 1e6,
         ]
     )
+
+
+def _depth(structures: Sequence[Placed], p_tip: FloatArray) -> float:
+    """Distance from the tip to the nearest structure where it truly is [m]; inside: negative."""
+    nearest = nearest_of(structures, p_tip)
+    return signed_distance(nearest.surface, nearest.seen(p_tip))
+
+
+def _moved(structures: Sequence[Placed], p_tip: FloatArray) -> tuple[float, float]:
+    """How far from rest the nearest structure that moves is at the tip [m]: truly, and believed."""
+    moving = [one for one in structures if one.pose is not None]
+    if not moving:
+        return 0.0, 0.0
+    nearest = nearest_of(moving, p_tip)
+    resting = nearest.seen(p_tip)
+    assert nearest.believed is not None
+    believed = nearest.believed.act(resting)
+    return float(np.linalg.norm(p_tip - resting)), float(np.linalg.norm(believed - resting))
 
 
 class History:
@@ -146,6 +171,8 @@ class Signals(Part):
                 "Plot", True, hint="Off, the plots stand still; what they miss is kept for later."
             )
             self._plots = [self._add(gui, plot, plot is PLOTS[-1]) for plot in PLOTS]
+            moves = self._scene.moves
+            self._plots[MOTION].visible = moves
             self._mode = gui.add_dropdown(
                 "Trail",
                 (WHEN_OFF, ALWAYS, NEVER),
@@ -168,6 +195,7 @@ class Signals(Part):
         if scene.version == self._scene.version:
             return
         self._scene = scene
+        self._plots[MOTION].visible = scene.moves
         self._clear_all()
 
     def frame(self, shown: Moment, clients: Clients) -> None:
@@ -182,10 +210,11 @@ class Signals(Part):
             self._history.clear()
             self._trail.path.break_line()
             self._restart()
-        self._extend_trail(telemetry, shown.options)
+        around = shown.guarded or shown.structures[:1]
+        self._extend_trail(telemetry, shown.options, around)
         if not 0.0 <= telemetry.time - self._sample_time < PERIOD:
             self._sample_time = telemetry.time
-            values = sample(telemetry, self._around(shown.options))
+            values = sample(telemetry, around)
             if values is not None:
                 self._history.add(telemetry.time, values)
                 self._due |= not 0.0 <= telemetry.time - self._plot_time < PLOT_PERIOD
@@ -212,12 +241,9 @@ class Signals(Part):
         self._sample_time = self._plot_time = self._trail_time = -math.inf
         self._due = True
 
-    def _around(self, options: Options) -> list[vf.Surface]:
-        """The surfaces that are guarded; if there are none, the mesh's."""
-        around = guarded(options, self._scene.surfaces)
-        return [surface for _, surface in around] or [self._scene.surface]
-
-    def _extend_trail(self, telemetry: Telemetry, options: Options) -> None:
+    def _extend_trail(
+        self, telemetry: Telemetry, options: Options, around: Sequence[Placed]
+    ) -> None:
         mode = self._mode.value
         if mode == NEVER or (mode == WHEN_OFF and options.rule != "off"):
             self._trail.path.break_line()
@@ -227,8 +253,7 @@ class Signals(Part):
         self._trail_time = telemetry.time
         assert telemetry.step is not None
         p_tip = np.array(telemetry.step.tip.translation)
-        surface = nearest_of(self._around(options), p_tip)
-        if self._trail.path.add(p_tip, signed_distance(surface, p_tip)):
+        if self._trail.path.add(p_tip, _depth(around, p_tip)):
             self._trail.draw()
 
     def _clear_all(self) -> None:

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.judges import boxes
-from app.judges.nearest import gaps
 from app.kinds import Length, bare
 from app.options import declared
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.settings import Structure
 from app.view import palette
 from app.view.context import PageContext
 from app.view.controls.fields import NumberField, show
 from app.view.drawing.fixture import MIN_PUSH
+from app.view.tabs.depth import part_gaps
 
 EYE, GUARD, CHOOSE = "eye", "guard", "choose"  # the orders of the list's buttons
 AS_SESSION = "as the session"
@@ -237,10 +236,11 @@ def _distances(shown: Moment) -> list[float]:
         return []
     options, p_tip = shown.options, np.array(step.tip.translation)
     found = []
-    for own, surface in zip(options.anatomy, scene.surfaces, strict=True):
-        gap = surface.nearest(p_tip)[0] - options.tip_radius
-        if options.rule == "certified" and options.guard_of(own) == "tool":
-            parts = gaps(boxes.of(surface), scene.arm, shown.telemetry.q, options.trocar)
+    for one in shown.structures:
+        gap = one.surface.nearest(one.seen(p_tip))[0] - options.tip_radius
+        if options.rule == "certified" and options.guard_of(one.own) == "tool":
+            q, arm = shown.telemetry.q, scene.arm
+            parts = part_gaps(one.surface, arm, q, options.trocar, one.pose)
             gap = min(gap, float(parts.min()))
         found.append(gap)
     return found

@@ -13,10 +13,10 @@ import viser
 import vf
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats
-from app.recording.playback import Moment
 from app.scenarios.presets import PRESETS
 from app.scenarios.staging import course
 from app.scene import scene as scenes
+from app.scene.moment import Moment
 from app.settings import Options
 from app.view import palette
 from app.view.controls import panel

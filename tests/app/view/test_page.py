@@ -15,9 +15,9 @@ import pinocchio as pin
 import pytest
 
 import vf
-from app.recording.playback import Moment
 from app.refused import Refused
 from app.scene import worker
+from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options

@@ -13,7 +13,7 @@ import pytest
 
 import vf
 from app.control.messages import LoopStats, Telemetry
-from app.recording.playback import Moment
+from app.scene.moment import Moment
 from app.session import Session
 from app.settings import Options
 from app.view import palette

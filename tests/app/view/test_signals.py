@@ -14,7 +14,7 @@ import trimesh
 
 import vf
 from app.control.messages import LoopStats, Telemetry
-from app.recording.playback import Moment
+from app.scene.moment import Moment, Placed
 from app.settings import Options
 from app.view import palette
 from app.view.drawing import trail
@@ -41,9 +41,10 @@ def surface() -> vf.Surface:
 def test_a_sample_has_the_ticks_values_in_the_plots_units(
     telemetry: list[Telemetry], surface: vf.Surface
 ) -> None:
-    assert signals.sample(replace(telemetry[0], step=None), [surface]) is None
+    around = [Placed(Options().anatomy[0], surface)]
+    assert signals.sample(replace(telemetry[0], step=None), around) is None
     last = replace(telemetry[-1], stats=LoopStats(tick_median=40e-6, tick_worst=90e-6))
-    values = signals.sample(last, [surface])
+    values = signals.sample(last, around)
     assert values is not None
     p = last.step.tip.translation
     true = trimesh.proximity.signed_distance(
@@ -54,7 +55,7 @@ def test_a_sample_has_the_ticks_values_in_the_plots_units(
     assert values[1] == pytest.approx(1e3 * np.linalg.norm(last.target.translation - p))
     assert values[2] == pytest.approx(np.linalg.norm(last.step.force))
     assert (values[3:6] == 0.0).all()
-    assert values[6:] == pytest.approx([40.0, 90.0])
+    assert values[6:] == pytest.approx([0.0, 0.0, 40.0, 90.0])
     assert len(values) == signals.CURVES
 
 

@@ -1,0 +1,1 @@
+"""How anatomy moves, what a tracker sees of it, and where the guard believes it to be."""

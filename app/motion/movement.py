@@ -1,0 +1,175 @@
+"""How the structures of a scene move: truly, and as the guard believes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import vf
+from app.motion.course import Course
+from app.motion.declared import Motion, Tracker
+from app.motion.tracking import Belief, Tracking
+from app.words import OptionError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """What the guard is told of a tick.
+
+    Attributes:
+        motions: one for each structure, from the tick's start to its end; None: it stands still.
+        stale: whether a structure was last seen too long ago: the tool holds.
+    """
+
+    motions: tuple[vf.Motion | None, ...]
+    stale: bool
+
+
+class Movement:
+    """Where all structures of a scene are, and where the guard believes them to be.
+
+    All of it depends on the phase alone, the time of the patient's motion [s], so it can be asked
+    for any phase in any order. Not thread-safe: it keeps what it computed.
+
+    Args:
+        courses: one for each structure; None: it stands still.
+        tracker: None: the guard knows the truth.
+
+    Attributes:
+        moves: whether any structure moves.
+    """
+
+    def __init__(self, courses: Sequence[Course | None], tracker: Tracker | None) -> None:
+        self._courses = tuple(courses)
+        self.tracker = tracker
+        self._different = tuple({id(c): c for c in self._courses if c is not None}.values())
+        self._tracked = {
+            id(course): Tracking(course.pose, tracker)
+            for course in self._different
+            if tracker is not None
+        }
+        self._truth: tuple[float, dict[int, pin.SE3]] = (-1.0, {})
+
+    @property
+    def moves(self) -> bool:
+        return bool(self._different)
+
+    def truth(self, phase: float) -> list[pin.SE3 | None]:
+        """T_rest_now of every structure, arm base frame; None: it stands still."""
+        poses = self._poses(phase)
+        return [None if course is None else poses[id(course)] for course in self._courses]
+
+    def beliefs(self, phase: float) -> list[Belief | None]:
+        """Where the guard believes every structure to be; None: it stands still, or it knows."""
+        found = {key: tracking.belief(phase) for key, tracking in self._tracked.items()}
+        return [None if course is None else found.get(id(course)) for course in self._courses]
+
+    def margin(self, phase: float) -> float:
+        """The largest margin for what is not known of a structure [m]; it stops with staleness."""
+        known = [belief for belief in self.beliefs(phase) if belief is not None]
+        return max((self._margin(belief) for belief in known), default=0.0)
+
+    def during(self, start: float, end: float) -> Guarded:
+        """What the guard is told of the tick between two phases.
+
+        The margin is the larger one of start and end: in between the structure is no farther from
+        where it is believed.
+        """
+        made: dict[int, vf.Motion] = {}
+        stale = False
+        before = self._poses(start) if self.tracker is None else {}
+        after = self._poses(end) if self.tracker is None else {}
+        for course in self._different:
+            key = id(course)
+            if self.tracker is None:
+                made[key] = vf.Motion(before[key], after[key])
+                continue
+            first, last = self._tracked[key].during(start, end)
+            stale |= last.stale
+            low, high = self._margin(first), self._margin(last)
+            margin, growth = max(low, high), max(high - low, 0.0)
+            made[key] = vf.Motion(first.pose, last.pose, margin, growth)
+        motions = [None if course is None else made[id(course)] for course in self._courses]
+        return Guarded(tuple(motions), stale)
+
+    def _margin(self, belief: Belief) -> float:
+        """That of a belief; where the tool holds because of its age it grows no more [m]."""
+        assert self.tracker is not None
+        return min(belief.margin, self.tracker.most)
+
+    def _poses(self, phase: float) -> dict[int, pin.SE3]:
+        if self._truth[0] != phase:
+            self._truth = phase, {id(c): c.pose(phase) for c in self._different}
+        return self._truth[1]
+
+
+def courses(
+    motions: Sequence[Motion], names: Sequence[str], surfaces: Sequence[vf.Surface]
+) -> tuple[Course | None, ...]:
+    """The course of every structure; None: nothing moves it.
+
+    Structures that are moved alike share one.
+
+    Args:
+        names, surfaces: of the structures, the scene's mesh first; surfaces in the base frame.
+
+    Raises:
+        OptionError: a motion of a structure that is not there, or a file that cannot be used.
+    """
+    for motion in motions:
+        if motion.of is not None and motion.of not in names:
+            raise OptionError(
+                f"a motion of '{motion.of}': there is no such structure: choose from "
+                f"{', '.join(dict.fromkeys(names))}"
+            )
+    whole = _middle(surfaces[0])
+    found: list[Course | None] = []
+    together: Course | None = None
+    for name, surface in zip(names, surfaces, strict=True):
+        own = [motion for motion in motions if motion.of in (None, name)]
+        if any(motion.of is not None for motion in own):
+            found.append(Course(own, _middle(surface), whole))
+        elif own:
+            together = together or Course(own, whole)
+            found.append(together)
+        else:
+            found.append(None)
+    return tuple(found)
+
+
+def checksum(courses: Sequence[Course | None]) -> str:
+    """SHA-256 of the poses that come from files; empty: there are none."""
+    different = {id(course): course for course in courses if course is not None}
+    content = [course.recorded for course in different.values()]
+    return hashlib.sha256(b"".join(content)).hexdigest() if any(content) else ""
+
+
+def too_fast(
+    tracker: Tracker | None, courses: Sequence[Course | None], surfaces: Sequence[vf.Surface]
+) -> list[str]:
+    """A note for the user where a structure can be faster than the tracker's declared bound."""
+    if tracker is None:
+        return []
+    fastest = 0.0
+    for course, surface in zip(courses, surfaces, strict=True):
+        if course is not None:
+            fastest = max(fastest, course.speed(course.radius(surface.vertices)))
+    if fastest <= tracker.bound:
+        return []
+    return [
+        f"Points of the structures may reach {fastest * 1e3:.0f} mm/s; the tracker's bound is "
+        f"declared as {tracker.bound * 1e3:g} mm/s: the margin may not cover what it does not know."
+    ]
+
+
+def _middle(surface: vf.Surface) -> FloatArray:
+    """(3,) of a surface's box [m]."""
+    vertices = surface.vertices
+    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
