@@ -115,7 +115,7 @@ STATUS_HELP: dict[vf.Status, str] = {
     vf.Status.RECOVERING: "out to the standoff",
     vf.Status.INSIDE: "inside the anatomy",
     vf.Status.REFUSED: "proxy unusable",
-    vf.Status.OVERTAKEN: "anatomy came faster than the arm can yield",
+    vf.Status.OVERTAKEN: "faster anatomy than the arm",
 }
 
 SOLVER_HELP: dict[vf.Solver, str] = {

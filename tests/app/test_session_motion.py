@@ -116,7 +116,7 @@ def test_each_tick_begins_with_the_very_pose_that_the_last_one_ended_with(cube: 
     for before, after in itertools.pairwise(told):
         assert before is not None
         assert after is not None
-        assert before.record[12:].tobytes() == after.record[:12].tobytes()
+        assert before.record[12:24].tobytes() == after.record[:12].tobytes()
     assert told[-1] is not None
     rise = 0.006 * np.sin(np.pi * 0.3 / 0.5) ** 6
     assert told[-1].end.translation == pytest.approx([0.0, 0.0, rise], abs=1e-12)

@@ -22,6 +22,7 @@ from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
 GHOST_OPACITY = 0.25
+GHOST_SIZE = 0.999  # where both coincide, the structure itself is seen
 HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
 TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
 
@@ -163,9 +164,10 @@ class Anatomy(Part):
         for k, (drawn, (vertices, faces)) in enumerate(zip(self._drawn, shapes, strict=True)):
             if scene.courses[k] is None:
                 continue
+            middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
             drawn.ghost = self._api.add_mesh_simple(
                 f"/anatomy/ghost{k}",
-                vertices=to_buffer(vertices),
+                vertices=to_buffer(middle + GHOST_SIZE * (vertices - middle)),
                 faces=faces.astype(np.uint32),
                 color=palette.GHOST,
                 opacity=GHOST_OPACITY,
