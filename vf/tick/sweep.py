@@ -15,6 +15,7 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit
+from vf.qp.problem import height
 from vf.rules.certified import HEAP
 from vf.tick.moving import bend, distance, into
 from vf.tree.axis import box_gap2, triangle_gap2
@@ -148,6 +149,58 @@ def _clear(search, motion, places, trials, bulges, guards, body, hair, queue):  
             return room >= pace or done >= 1.0
         done = min(1.0, done + room / pace)
     return False
+
+
+@njit(cache=True)
+def overlapped(words, planes, guards):  # type: ignore[no-untyped-def]
+    """Whether a structure is in any part of the tool when the tick begins."""
+    places = numba.carray(floats_at(words[at.PLACES]), (words[at.POINTS], 3))
+    for i in range(words[at.COUNT]):
+        plane = planes[i]
+        p = int(plane[at.POINT])
+        room = height(plane, places[p]) + plane[at.CARRY] - height(plane, plane[at.FOOT :])
+        if room < guards[p, at.THICKNESS]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def add_overlaps(words, numbers, ends, guards):  # type: ignore[no-untyped-def]
+    """Raise VIOLATION to how deep any part of the tool is in a mesh where the tick ends.
+
+    Args:
+        ends: (p, 3) guarded points at the end of the tick [m].
+    """
+    bodies = numba.carray(integers_at(words[at.BODY_TABLE]), (words[at.BODIES], at.BODY))
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
+    axis = np.empty((2, 3))
+    missed = numbers[at.VIOLATION]  # of the centre or axis
+    for b in range(-1, words[at.BODIES]):  # -1: the tip
+        first, second = 0, 0
+        if b >= 0:
+            first, second = bodies[b, at.FIRST], bodies[b, at.SECOND]
+            if bodies[b, at.CENTRE] >= 0 and _stays_in_port(ends, ends, bodies[b]):
+                continue
+        thickness = guards[first, at.THICKNESS]
+        for f in range(fixtures):
+            search = searches[f]
+            if search[at.KIND] != at.MESH or (b >= 0 and search[at.TOOL] == 0):
+                continue
+            for k in range(2):
+                x = ends[first] if k == 0 else ends[second]
+                axis[k] = x
+                if search[at.MOVES] > 0:
+                    axis[k, 0], axis[k, 1], axis[k, 2] = into(motions[f], at.TO, x[0], x[1], x[2])
+            nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
+            corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
+            slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
+            apart = gap(nodes, corners, slivers, axis, thickness, queue)
+            # Where the axis meets the mesh, what it missed its planes by comes on top.
+            deep = thickness - apart + (missed if apart == 0.0 else 0.0)
+            numbers[at.VIOLATION] = max(numbers[at.VIOLATION], deep)
 
 
 @njit(cache=True)

@@ -21,7 +21,7 @@ from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
 from vf.tick.moving import set_carries
 from vf.tick.report import write_report
 from vf.tick.search import search_bodies, search_planes, set_radius, sides_known
-from vf.tick.sweep import ask_at_contacts
+from vf.tick.sweep import add_overlaps, ask_at_contacts, overlapped
 from vf.tick.yielding import (
     begin_to_yield,
     bound_speed,
@@ -190,7 +190,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                     numbers[at.SHARE] = 0.0 if words[at.STUCK] > 0 else 1.0
                     table[at.TRIAL] = table[at.POSITION]
                     tip[:] = start
-                    return write_report(words, numbers, table, goal, tip, planes, places[0])
+                    return _end(words, numbers, table, goal, tip, planes, places, guards)
                 set_trial(numbers, table, jacobians, at.STEP, 1.0, bulges)
             elif words[at.SOLVER] == INFEASIBLE:
                 if words[at.MOVING] > 0 and not still_obeys(
@@ -227,7 +227,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if allowed and words[at.STAGE] < at.PART:
             # The optimum within the tick's bounds, of the first or the corrected problem.
             numbers[at.SHARE] = 1.0
-            return write_report(words, numbers, table, goal, tip, planes, trials[0])
+            return _end(words, numbers, table, goal, tip, planes, trials, guards)
         if (
             words[at.MOVING] > 0
             and words[at.STAGE] == at.CORRECTED
@@ -248,7 +248,7 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if phase == at.DONE:
             for k in range(3):
                 trials[0, k] = tip[k, 3]
-            return write_report(words, numbers, table, goal, tip, planes, trials[0])
+            return _end(words, numbers, table, goal, tip, planes, trials, guards)
         if words[at.LINKS] == 0:
             return -at.TRIED
         _place(words, table[at.TRIAL], tip)
@@ -268,7 +268,21 @@ def _end_yielding(  # type: ignore[no-untyped-def]
     measure_violation(
         words, numbers, table, start, tip, planes, places, trials, jacobians, guards, bulges
     )
-    return write_report(words, numbers, table, goal, tip, planes, trials[0])
+    return _end(words, numbers, table, goal, tip, planes, trials, guards)
+
+
+@njit(cache=True)
+def _end(words, numbers, table, goal, tip, planes, ends, guards):  # type: ignore[no-untyped-def]
+    """Write the report of a step to `ends` (p, 3). Returns the number of planes.
+
+    A tool that a structure is in has been overtaken until it is out of it again, although its
+    centre and its axes obey their planes.
+    """
+    if words[at.MOVING] > 0 and overlapped(words, planes, guards):
+        add_overlaps(words, numbers, ends, guards)
+        if numbers[at.VIOLATION] > 0.0:
+            words[at.YIELDS] = 1
+    return write_report(words, numbers, table, goal, tip, planes, ends[0])
 
 
 @njit(cache=True)
