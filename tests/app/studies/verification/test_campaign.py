@@ -207,8 +207,8 @@ def test_a_weakened_cover_is_caught(monkeypatch):
     """The certified planes, but one standoff too far behind the surface: hands and queries see."""
     honest = cover
 
-    def weakened(surface, x, radius, standoff, tip_radius):
-        planes = honest(surface, x, radius, standoff, tip_radius)
+    def weakened(surface, x, radius, standoff, tip_radius, *margins):
+        planes = honest(surface, x, radius, standoff, tip_radius, *margins)
         back = standoff + 5e-5
         return replace(
             planes,
@@ -219,7 +219,7 @@ def test_a_weakened_cover_is_caught(monkeypatch):
 
     monkeypatch.setattr("vf.rules.certified.cover", weakened)
     monkeypatch.setattr(fixtures, "cover", weakened)
-    monkeypatch.setattr(fixtures, "Search", lambda *_: None)  # ticks ask the fixture
+    monkeypatch.setattr(fixtures, "Search", lambda *_, **__: None)  # ticks ask the fixture
     mesh = meshes.arrays("cube")
     driven = campaign.drive(
         robots.load("point"), mesh, rule="certified", radius=5e-4, steps=2000, seed=5
@@ -352,7 +352,10 @@ def test_the_command_reads_a_mesh_file(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["--rule", "soft"], "unknown rule 'soft': choose one of certified, paper, all, off"),
+        (
+            ["--rule", "soft"],
+            "unknown rule 'soft': choose one of certified, paper, all, off, nearest, sdf",
+        ),
         (["--damage", "rust"], "unknown damage 'rust': choose one of all, none, unwelded"),
         (["--robot", "r2d2"], "unknown robot 'r2d2'"),
         (["--mesh", "teapot"], "teapot"),
@@ -377,7 +380,8 @@ def test_a_refusal_is_one_line_and_exit_code_2():
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr.splitlines() == [
-        "vf-sandbox verify: error: unknown rule 'soft': choose one of certified, paper, all, off"
+        "vf-sandbox verify: error: unknown rule 'soft': choose one of certified, paper, all, off, "
+        "nearest, sdf"
     ]
 
 
