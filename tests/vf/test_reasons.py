@@ -60,7 +60,7 @@ def reference(
         heights.append(inward @ (point - a))
     if min(map(abs, heights)) > hair:
         return {Verdict.FACE if height >= 0 else Verdict.BEHIND}
-    valley = joined = ridge = False
+    valley = joined = ridge = nearly = False
     for k in np.flatnonzero(np.abs(heights) <= hair):
         edge = {int(v) for v in surface.faces[i][[k, (k + 1) % 3]]}
         others = [
@@ -76,14 +76,19 @@ def reference(
         side = m @ (corners[(k + 2) % 3] - corners[k])
         if side > 1e-7 * surface.median_edge:
             valley = True
+        elif side > 1e-10 * surface.median_edge:
+            nearly = True  # a valley for the library, whose bound is a sine of 1e-9, or flat
         else:
             joined = True
             theirs = naive.closest(other[None], x)[0][0]
             ridge |= bool(np.linalg.norm(theirs - point) <= hair)
     if ridge:
         return {Verdict.RIDGE, Verdict.SHARED}
+    in_valley = Verdict.VALLEY if height >= 0 else Verdict.BEHIND_VALLEY
     if valley:
-        return {Verdict.VALLEY if height >= 0 else Verdict.BEHIND_VALLEY}
+        return {in_valley}
+    if nearly:
+        return {in_valley, Verdict.APART}
     return {Verdict.APART if joined else Verdict.OPEN}
 
 
