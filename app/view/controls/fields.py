@@ -18,6 +18,45 @@ TYPING_DELAY = 1.0
 Take = Callable[[float], object]
 
 
+def obey(
+    client: viser.ClientHandle,
+    notify: Notify,
+    take: Callable[[Any], object],
+    value: Any,
+    sync: Callable[[], None],
+) -> None:
+    """Take a value that a client gave, or tell the client why not; then show what is in force."""
+    try:
+        take(value)
+    except (ValueError, TypeError, OverflowError) as error:
+        notify(client, f"{error}")
+    finally:
+        sync()
+
+
+def bind(
+    control: Any,
+    client_input: ClientInput,
+    notify: Notify,
+    take: Callable[[Any], object],
+    sync: Callable[[], None],
+) -> None:
+    """Pass a control's new value to `take`, then show the value in force.
+
+    Args:
+        take: sets a value; raises ValueError to refuse it, which the client is told.
+        sync: shows what is in force.
+    """
+
+    def order(client: viser.ClientHandle, value: Any) -> None:
+        obey(client, notify, take, value, sync)
+
+    @control.on_update
+    async def _updated(event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:  # None: set by this program
+            client_input.submit(order, event.client, event.target.value)
+
+
 class NumberField:
     """A number control and the option that it sets."""
 

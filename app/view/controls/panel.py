@@ -22,7 +22,7 @@ from app.settings import DECLARED, Options, number
 from app.view import palette, style
 from app.view.clients.client_input import ClientInput, Notify
 from app.view.clients.escape import EscapeKey
-from app.view.controls.fields import NumberField, show
+from app.view.controls.fields import NumberField, bind, show
 from app.view.controls.help import Help
 from app.view.controls.keys import STEPS
 from app.view.part import Part
@@ -271,19 +271,7 @@ class Panel(Part):
     def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
         """Pass a control's new value to `take`, then show the value in force."""
         self._settings.append(control)
-
-        def order(client: viser.ClientHandle, value: Any) -> None:
-            try:
-                take(value)
-            except (ValueError, TypeError, OverflowError) as error:
-                self._notify(client, f"{error}")
-            finally:
-                self.sync()
-
-        @control.on_update
-        async def _updated(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: set by this program
-                self._input.submit(order, event.client, event.target.value)
+        bind(control, self._input, self._notify, take, self.sync)
 
     def _take_autopilot(self, value: object) -> None:
         self._autopilot_asked = time.monotonic()

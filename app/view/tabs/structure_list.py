@@ -16,7 +16,7 @@ from app.scene.scene import Scene
 from app.settings import Structure
 from app.view import palette
 from app.view.context import PageContext
-from app.view.controls.fields import NumberField, show
+from app.view.controls.fields import NumberField, bind, obey, show
 from app.view.drawing.fixture import MIN_PUSH
 from app.view.tabs.depth import part_gaps
 
@@ -143,19 +143,13 @@ class StructureList:
     def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
         """Pass a control's new value to `take`, then show the value in force."""
         self._controls.append(control)
-
-        @control.on_update
-        async def _updated(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:  # None: set by this program
-                self._input.submit(self._take, event.client, take, event.target.value)
+        bind(control, self._input, self._notify, take, self._show_now)
 
     def _take(self, client: viser.ClientHandle, take: Callable[[Any], object], value: Any) -> None:
-        try:
-            take(value)
-        except (ValueError, TypeError, OverflowError) as error:
-            self._notify(client, f"{error}")
-        finally:
-            self._sync(self._source.now() if self._source.live else self._source.shown)
+        obey(client, self._notify, take, value, self._show_now)
+
+    def _show_now(self) -> None:
+        self._sync(self._source.now() if self._source.live else self._source.shown)
 
     def _act(self, client: viser.ClientHandle, text: str) -> None:
         """An order of one of the list's buttons: what, and the structure's number."""
