@@ -68,7 +68,10 @@ def test_eye_and_box_of_a_row(visitor: Visitor, session: Session, page: Page) ->
     wait_until(lambda: page._anatomy.shows(2), "the nerve to be drawn")
     button(visitor, "guard", 1).click()
     wait_until(lambda: not session.options.structures[0].guarded, "the dura to be off")
-    # From the keyboard, too.
+    # From the keyboard, too: once the row is drawn anew, since that takes the focus away.
+    wait_until(
+        lambda: button(visitor, "guard", 1).get_attribute("aria-pressed") == "false", "the row"
+    )
     button(visitor, "guard", 1).focus()
     visitor.tab.keyboard.press("Enter")
     wait_until(lambda: session.options.structures[0].guarded, "the dura to be on")
