@@ -23,6 +23,7 @@ from app.view.clients import client_names
 from app.view.clients.cameras import Cameras
 from app.view.clients.client_input import ClientInput
 from app.view.clients.escape import EscapeKey
+from app.view.clients.grab import Grab
 from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
@@ -100,13 +101,15 @@ class Page:
         self._anatomy = Anatomy(api)
         self._labels = Labels(server)
         self._rulers = Rulers(api, self._labels)
-        self._arm = ArmDrawing(api)
         self._fixture = FixtureDrawing(api, self._labels)
         self._instrument = Instrument(api)
         self._tool = Tool(api, self._labels)
         self._crossing = CrossingMark(api, self._labels)
         self._proxy = Proxy(api, self._labels, session.handle)
         self._input = ClientInput(session, server, self._proxy, self._notify)
+        by_hand = lambda: bool(self._proxy.gizmo.visible)  # noqa: E731
+        grab = Grab(session, self._source, self._input, self._notify, by_hand)
+        self._arm = ArmDrawing(api, grab.attach)
         self._cameras = Cameras(server, self._source, self._notify)
         self._section = Section(self._anatomy)
         escape, library = EscapeKey(server, self._input), Library()

@@ -139,7 +139,7 @@ class Visitor:
 
 def settle(visitor: Visitor, known: set[int]) -> None:
     """Wait for the panel, for the client's camera, and for a picture that is not blank."""
-    visitor.tab.get_by_text("Drag the gizmo (the proxy)").wait_for(timeout=90_000)
+    visitor.tab.get_by_text("Drag the tool, or the gizmo").wait_for(timeout=90_000)
     clients = visitor.page.server.get_clients
     deadline = time.monotonic() + 90.0
     while not set(clients()) - known:

@@ -15,6 +15,7 @@ import vf
 from app.control.engine import guarded
 from app.control.messages import Telemetry
 from app.scene.moment import Moment
+from app.scene.picking import along, main_structure, pick
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
@@ -22,7 +23,6 @@ from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Pose
 from app.view.inspector.drawing import NearDrawing
 from app.view.inspector.inspection import Inspection, Inspector, Request, Subject
-from app.view.inspector.picking import along, main_structure, pick
 from app.view.inspector.probe import Probe, case_pose, case_view
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, pose_from_view

@@ -234,8 +234,8 @@ def _state(
         return "Clutched: the handle moves alone, the tool holds.", orange
     if telemetry.target is None and not telemetry.autopilot:
         if inside:
-            return "The tool rests inside the anatomy: drag the gizmo, or Reset.", red
-        return "Ready: drag the gizmo.", calm
+            return "The tool rests inside the anatomy: drag it, or Reset.", red
+        return "Ready: drag the tool or the gizmo.", calm
     if step is None:
         return "Starting …", calm
     if step.status == vf.Status.HELD:
