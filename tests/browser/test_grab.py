@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
 
 from app.session import Session
+from app.view import Page
 from app.view.units import to_view
-from tests.support.watching import Visitor, wait_until
+from tests.support.watching import Visitor, drawn_share, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -133,3 +135,39 @@ def test_the_gizmo_moves_with_it_and_still_works(visitor: Visitor, session: Sess
             lambda: np.abs(shown() - to_view(session.handle.translation)).max() < 1e-3, "the gizmo"
         )
     wait_until(lambda: not visitor.page.dragging, "the release")
+
+
+def test_a_finger_moves_the_tool_on_a_phone(browser: Any, page: Page, session: Session) -> None:
+    known = set(page.server.get_clients())
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, device_scale_factor=0.3, has_touch=True,
+        is_mobile=True,
+    )  # fmt: skip
+    tab = context.new_page()
+    tab.set_default_timeout(120_000)  # with another tab drawing in software beside it
+    try:
+        tab.goto(page.url)
+        wait_until(lambda: set(page.server.get_clients()) - known, "the phone", 120.0)
+        phone = Visitor(tab, max(set(page.server.get_clients()) - known), page)
+        wait_until(lambda: drawn_share(phone.picture("phone-grab")[:480]) > 0.1, "the picture")
+        # viser's word about drawing in software hides the tool.
+        tab.locator(".mantine-Notification-closeButton").first.click()
+        tab.locator(".mantine-Notification-closeButton").first.wait_for(state="hidden")
+        before, at = tip(session), grip(phone, session)
+        touch = tab.context.new_cdp_session(tab)
+
+        def finger(kind: str, *where: np.ndarray) -> None:
+            points = [{"x": float(p[0]), "y": float(p[1])} for p in where]
+            touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        finger("touchStart", at)
+        for k in range(1, 11):
+            finger("touchMove", at + np.array([6.0 * k, -2.0 * k]))
+            tab.wait_for_timeout(60)
+        moved = lambda: camera_axes(phone)[:, 0] @ (tip(session) - before)  # noqa: E731
+        wait_until(lambda: moved() > 1e-3, "the tool to follow the finger", 30.0)
+        finger("touchEnd")
+        wait_until(lambda: not page.dragging, "the release")
+    finally:
+        context.close()
+    wait_until(lambda: set(page.server.get_clients()) == known, "the phone to leave")
