@@ -27,6 +27,7 @@ from app.view.clients.grab import Grab
 from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
+from app.view.controls.feel import Feel
 from app.view.controls.keys import Keys
 from app.view.controls.motion import MotionControl
 from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
@@ -167,6 +168,7 @@ class Page:
             MeshTab(context),
             CorridorControl(context),
             MotionControl(context),
+            Feel(context),
             RecordTab(context),
             self._labels,  # after all parts that change a label
         )

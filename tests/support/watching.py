@@ -16,6 +16,13 @@ from app.view import Page
 
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
 
+# The page draws as often as the browser lets it, and a software renderer fills a core with that.
+# Ten pictures a second are enough to see what happens, and leave the core to the sandbox.
+FEWER_FRAMES = """
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
+window.cancelAnimationFrame = (timer) => clearTimeout(timer);
+"""
+
 
 def wait_until(condition: Callable[[], object], what: str, timeout: float = 60.0) -> None:
     """Poll until the condition holds; fails with `what` when it does not in time [s]."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from app.scene.picking import along, pick
 from app.session import Session
+from app.view.camera import axes_of
 from app.view.clients.client_input import ClientInput, Notify
 from app.view.source import Source
 from app.view.units import VIEW_SCALE
@@ -141,12 +142,6 @@ class Grab:
             return pin.SE3(present)
         behind = PRESSED / float(np.linalg.norm(way))
         return pin.SE3(present.rotation, origin + (nearest + behind) * way)
-
-
-def axes_of(wxyz: FloatArray) -> FloatArray:
-    """A camera's axes right, down and away, as columns (3, 3)."""
-    w, x, y, z = wxyz
-    return np.array(pin.Quaternion(w, x, y, z).normalized().matrix())
 
 
 def turned(pose: pin.SE3, axes: FloatArray, moved: FloatArray) -> pin.SE3:

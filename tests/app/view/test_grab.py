@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from app.session import Session
 from app.settings import Options
+from app.view import camera
 from app.view.clients import grab
 from app.view.clients.client_input import GIZMO, ClientInput
 
@@ -24,7 +25,7 @@ SHARE = st.floats(-1.0, 1.0)
 def test_the_axes_of_a_camera_are_its_own(wxyz: tuple[float, ...]) -> None:
     w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
     expected = Rotation.from_quat([x, y, z, w]).as_matrix()
-    np.testing.assert_allclose(grab.axes_of(np.array([w, x, y, z])), expected, atol=1e-12)
+    np.testing.assert_allclose(camera.axes_of(np.array([w, x, y, z])), expected, atol=1e-12)
 
 
 @given(SHARE, SHARE)
