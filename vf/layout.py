@@ -76,7 +76,9 @@ REPORT = 44  # (HEAD + 2 n,) see below
 GUARDS = 45  # (POINTS, GUARD) numbers of each guarded point
 BODY_TABLE = 46  # (BODIES, BODY) integers: what is guarded beside the tip
 MOTIONS = 47  # (FIXTURES, MOTION) how each fixture moves
-WORDS = 48
+RECOVERS = 48  # not an address; 1: a step has to gain what is in
+GAINS = 49  # (ROOM,) what each plane asks a step to gain, see `attempts.note_gains` [m]
+WORDS = 50
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -123,7 +125,8 @@ TRIAL = 14  # joint positions that are tried
 CHOSEN = 15  # the best of them
 STEP = 16  # the step that shorter ones are parts of
 OTHER = 17  # the step of a second optimum
-JOINT_ROWS = 18
+MIX = 18  # a step between the two
+JOINT_ROWS = 19
 
 # What a fixture is: integers.
 KIND = 0  # see `GIVEN`
@@ -206,3 +209,4 @@ YIELDING = 2  # rows relaxed by one length, the least that can be met: sought by
 SHORTER = 3  # a shorter part of it
 CORRECTED = 4  # the optimum with rows moved by the linearisation error just measured
 PART = 5  # by bisection
+RECOVERY = 6  # the least step that recovers; then steps between it and the optimum, by bisection

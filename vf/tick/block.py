@@ -97,6 +97,7 @@ class Block:
         self._part(at.ROWS, rows, n)
         self._part(at.BOUNDS, rows)
         self._part(at.OTHER_BOUNDS, rows)
+        self._part(at.GAINS, rows)
         self._part(at.MULTIPLIERS, rows)
         self.duals = self._part(at.DUALS, rows + 2 * n)
         size = scratch_size(n, rows + 2 * n)

@@ -9,11 +9,10 @@ from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit, now
 from vf.qp.solver import Solver
 from vf.status import Status
+from vf.tick.attempts import NEGLIGIBLE
 from vf.tick.haptics import master_force
 from vf.tick.moving import into
 
-# A deficit below this share of the standoff is rounding and not reported as RECOVERING.
-NEGLIGIBLE = 0.1
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 IS_SOLVED, IS_SHORTENED, IS_HELD = int(Status.SOLVED), int(Status.SHORTENED), int(Status.HELD)
 IS_RECOVERING, IS_INSIDE = int(Status.RECOVERING), int(Status.INSIDE)
