@@ -11,7 +11,7 @@ from vf.qp.solver import Solver
 from vf.status import Status
 from vf.tick.attempts import NEGLIGIBLE
 from vf.tick.haptics import master_force
-from vf.tick.moving import into
+from vf.tick.moving import form, into
 
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 IS_SOLVED, IS_SHORTENED, IS_HELD = int(Status.SOLVED), int(Status.SHORTENED), int(Status.HELD)
@@ -64,8 +64,11 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
     for f in range(words[at.FIXTURES]):
         if searches[f, at.KEEPS] > 0 and sides[f, at.WITHIN] == 0.0:
             px, py, pz = x[0], x[1], x[2]
+            blend = 0.0
             if words[at.MOVING] > 0 and searches[f, at.MOVES] > 0:
                 px, py, pz = into(motions[f], at.TO, px, py, pz)
+                blend = motions[f, at.BLEND_AFTER]
+            sides[f, at.SEEN_FORM], sides[f, at.SEEN_BLEND] = form(searches[f], blend)
             if words[at.YIELDS] > 0 and numbers[at.VIOLATION] > 0.0:
                 px = np.nan
             sides[f, at.SEEN], sides[f, at.SEEN + 1], sides[f, at.SEEN + 2] = px, py, pz
