@@ -22,6 +22,7 @@ from app.kinds import (
     Number,
     OneOf,
     Place,
+    Points,
     Repeated,
     Speed,
     Switch,
@@ -82,6 +83,28 @@ class Structure(Checked):
     def source(self) -> tuple[str, str | None, str | None]:
         """What its surface depends on: file, label, unit."""
         return self.file, self.label, self.unit
+
+
+@dataclass(frozen=True)
+class Registration(Checked):
+    """How the patient was registered: the guard adds to every margin what that may be off by.
+
+    Attributes:
+        fiducials: (N, 3) in the mesh's own frame [m], or a text file with x y z in mm in a line.
+        fle: fiducial localisation error: r.m.s. length of the error at one fiducial [m].
+        factor: the margin over the r.m.s. target registration error, see `meshes.margins`.
+
+    Raises:
+        OptionError: an invalid value. A file is read when the scene is built.
+    """
+
+    fiducials: str | tuple[tuple[float, float, float], ...] = option(
+        Points(3, 1000), about="Fiducials in the mesh's own frame."
+    )
+    fle: float = option(Length(1e-6, 0.02), 0.35e-3, "Fiducial localisation error, r.m.s.")
+    factor: float = option(
+        Number(0.1, 10.0), 2.0, "Margin over the r.m.s. target registration error."
+    )
 
 
 def split(text: str) -> tuple[str, str | None]:
@@ -182,6 +205,13 @@ class Options(Checked):
         "How often a tracker sees moving structures [Hz]; off: the guard knows where they are. "
         "What follows it directly is of the tracker: --latency, --noise, --dropouts, --bound, "
         "--predictor, --period, --stale, --seed.",
+        Scope.MESH,
+    )  # fmt: skip
+    registration: Registration | None = option(
+        Maybe(Record(Registration, "a registration"), "off"), None,
+        "Fiducials of the registration, a text file with x y z in mm of the mesh's own axes in a "
+        "line: every structure's margin is larger by what the registration may be off there. What "
+        "follows it directly is of the registration: --fle, --factor.",
         Scope.MESH,
     )  # fmt: skip
     margin: float = option(

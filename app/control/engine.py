@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+import meshes
 import vf
 from app.control.autopilot import Script
 from app.control.messages import Command, LoopStats, Telemetry
@@ -43,6 +44,7 @@ class Plant:
         scene_options: the settings its scene was built with, which may differ from `options`.
         structures: the surfaces beside the anatomy, arm base frame, as in `options`.
         courses: how each of these moves, the anatomy first; None: it stands still. Empty: all do.
+        added: margins that a registration adds to those of all structures; None: nothing.
     """
 
     arm: Arm
@@ -59,6 +61,7 @@ class Plant:
     scene_options: Options
     structures: tuple[vf.Surface, ...] = ()
     courses: tuple[Course | None, ...] = ()
+    added: meshes.MarginMap | None = None
 
     @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
@@ -278,11 +281,8 @@ class Engine:
         elif new.scene != old.scene:
             self._measure()
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
-            if (
-                not stays
-                or not new.is_free(new.arm.tip(self._q).translation)
-                or _stuck(new, self._q)
-            ):
+            free = stays and new.is_free(new.arm.tip(self._q).translation)
+            if not free or _stuck(new, self._q):
                 self._move_to(_frozen(new.q0))
             self._autopilot_since = None
             self._phase = self._phase_before = 0.0

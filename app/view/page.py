@@ -29,8 +29,9 @@ from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
 from app.view.controls.feel import Feel
 from app.view.controls.keys import Keys
+from app.view.controls.margins import MarginLegend
 from app.view.controls.motion import MotionControl
-from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
+from app.view.controls.panel import BANNER, CLIENTS, MARGINS, RESTART, Panel
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
@@ -160,6 +161,7 @@ class Page:
             self._section,
             self._client_lines,
             left,
+            MarginLegend(server, self._anatomy, MARGINS),
             Restart(server, session, self._input, RESTART),
             panel,
             ScenarioChoice(context),
@@ -313,6 +315,7 @@ class Page:
         return {
             "Anatomy": (True, self._anatomy.show),
             "See-through": (False, self._anatomy.set_translucent),
+            "Margins": (True, self._anatomy.show_margins),
             "Ghosts": (True, self._anatomy.show_ghosts),
             "Arm": (True, self._arm.show),
             "Capsules": (False, partial(setattr, self._instrument, "show")),

@@ -16,6 +16,8 @@ from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.settings import Structure
 from app.view import palette
+from app.view.drawing.heat.bands import Scale
+from app.view.drawing.heat.layer import Heat
 from app.view.drawing.nodes import place
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
@@ -61,6 +63,15 @@ class Anatomy(Part):
         self._translucent = False  # by the layer switch
         self._ghosts = True  # likewise
         self._turn = 0
+        self._heat = Heat(api)
+
+    @property
+    def margins(self) -> Scale | None:
+        """The scale of the margins that are drawn; None: none are."""
+        shown = self._visible and any(
+            drawn.visible and self._heat.covers(k) for k, drawn in enumerate(self._drawn)
+        )
+        return self._heat.scale if shown else None
 
     def set_scene(self, scene: Scene) -> None:
         for drawn in self._drawn:
@@ -73,6 +84,7 @@ class Anatomy(Part):
         same = self._scene is not None and _sources(self._scene) == _sources(scene)
         switches = [drawn.visible for drawn in self._drawn]
         self._scene = scene
+        self._heat.set_scene(scene)
         self._drawn = [
             _Drawn(surface, palette.structure_colour(own, k), own.opacity)
             for k, (own, surface) in looks
@@ -86,6 +98,7 @@ class Anatomy(Part):
                 f"/anatomy/structure{k}", drawn, built.vertices_shown, built.faces_shown,
                 built.fronts_only,
             )  # fmt: skip
+            self._heat.set_shape(k, built.vertices_shown, built.faces_shown, built.fronts_only)
         if scene.options.tracker is not None:
             self._add_ghosts(scene)
 
@@ -97,9 +110,9 @@ class Anatomy(Part):
         drawn = self._drawn[0]
         drawn.whole = part is None
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
-        drawn.mesh = self._add(
-            "/anatomy/mesh", drawn, vertices, faces, scene.fronts_only and part is None
-        )
+        fronts_only = scene.fronts_only and part is None
+        drawn.mesh = self._add("/anatomy/mesh", drawn, vertices, faces, fronts_only)
+        self._heat.set_shape(0, vertices, faces, fronts_only)
 
     def show(self, visible: bool) -> None:
         """Layer switch."""
@@ -121,6 +134,11 @@ class Anatomy(Part):
         self._ghosts = on
         self._draw()
 
+    def show_margins(self, on: bool) -> None:
+        """Layer switch of the heat map of margins."""
+        self._heat.on = on
+        self._draw()
+
     def set_translucent(self, on: bool) -> None:
         """Layer switch of the translucency."""
         self._translucent = on
@@ -133,6 +151,7 @@ class Anatomy(Part):
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         self.set_looks(shown.options.anatomy)
+        self._heat.set_margins(shown.options.anatomy)
         self._move(shown)
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
         self.keep_tip_visible(eyes, np.array(shown.tip.translation))
@@ -157,6 +176,7 @@ class Anatomy(Part):
             drawn.pose = pose
             place(drawn.mesh, pose)
             place(drawn.ghost, shown.believed(k))
+            self._heat.move(k, pose)
 
     def _add_ghosts(self, scene: Scene) -> None:
         shapes = [(scene.vertices_shown, scene.faces_shown)]
@@ -183,15 +203,17 @@ class Anatomy(Part):
         return None if opacity == 1.0 else opacity
 
     def _draw(self) -> None:
-        for drawn in self._drawn:
+        for k, drawn in enumerate(self._drawn):
             mesh = drawn.mesh
             if mesh is None:
                 continue
             opacity, visible = self._opacity(drawn), self._visible and drawn.visible
+            self._heat.draw(k, visible, opacity)
+            plain = visible and not self._heat.covers(k)
             if mesh.opacity != opacity:
                 mesh.opacity = opacity
-            if mesh.visible != visible:
-                mesh.visible = visible
+            if mesh.visible != plain:
+                mesh.visible = plain
             if tuple(mesh.color) != drawn.color:
                 mesh.color = drawn.color
             ghost = drawn.ghost

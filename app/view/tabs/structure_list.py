@@ -58,7 +58,8 @@ class StructureList:
             assert isinstance(limits, Length)
             margin = gui.add_number(
                 "Margin [mm]", 0.0, min=0.0, max=limits.high * 1e3, step=0.1,
-                hint="Distance the tool keeps from this structure beyond the standoff.",
+                hint="Distance the tool keeps from this structure beyond the standoff; what a "
+                "registration adds comes on top.",
             )  # fmt: skip
             self._guarded = gui.add_checkbox(
                 "Guarded", True, hint="Off, this structure does not stop the tool."
@@ -106,7 +107,7 @@ class StructureList:
         live = self._source.live
         structures = shown.options.anatomy
         seen = [self._anatomy.shows(k) for k in range(len(structures))]
-        rows = _rows(structures, seen, self._number)
+        rows = _rows(structures, seen, self._number, shown.scene.added_range)
         if rows != self._list.content:
             self._list.content = rows
         names = tuple(f"{k}: {own.name}" for k, own in enumerate(structures))
@@ -171,8 +172,13 @@ class StructureList:
             )
 
 
-def _rows(structures: Sequence[Structure], seen: Sequence[bool], chosen: int) -> str:
-    """The list as HTML."""
+def _rows(
+    structures: Sequence[Structure],
+    seen: Sequence[bool],
+    chosen: int,
+    added: Sequence[tuple[float, float]] = (),
+) -> str:
+    """The list as HTML; `added` is the range that a registration adds to each margin [m]."""
     rows = []
     for k, own in enumerate(structures):
         name = html.escape(str(own.name))
@@ -185,7 +191,8 @@ def _rows(structures: Sequence[Structure], seen: Sequence[bool], chosen: int) ->
             f"<td>{_button(GUARD, k, shield, f'Guard {name}', own.guarded)}</td>"
             f"<td class='vf-name' title='{name}'><button data-vf-order='{CHOOSE} {k}'>"
             f"<span class='vf-swatch' style='background:{swatch}'></span>{name}</button></td>"
-            f"<td>{1e3 * (own.margin or 0.0):.3g}</td><td class='vf-distance'></td></tr>"
+            f"<td>{_margin(own, added[k] if k < len(added) else None)}</td>"
+            "<td class='vf-distance'></td></tr>"
         )
     head = (
         "<tr><th></th><th></th><th class='vf-name'>structure</th>"
@@ -193,9 +200,19 @@ def _rows(structures: Sequence[Structure], seen: Sequence[bool], chosen: int) ->
         "<th title='from the tool [mm]'>nearest</th></tr>"
     )
     widths = "".join(f"<col style='width:{width}'>" for width in ("22px", "20px", "auto"))
-    widths += "<col style='width:42px'><col style='width:56px'>"
+    widths += f"<col style='width:{62 if added else 42}px'><col style='width:56px'>"
     table = f"<table class='vf-structures'>{widths}{head}{''.join(rows)}</table>"
     return f"<div class='vf-orders'>{table}</div>"
+
+
+def _margin(own: Structure, added: tuple[float, float] | None) -> str:
+    """A structure's margin [mm], or its range."""
+    margin = own.margin or 0.0
+    if added is None:
+        return f"{1e3 * margin:.3g}"
+    low, high = (f"{1e3 * (margin + more):.2f}" for more in added)
+    title = f"its own {1e3 * margin:.3g} mm, and what the registration adds"
+    return f"<span title='{title}'>{low}{f'–{high}' if high != low else ''}</span>"
 
 
 def _button(order: str, number: int, sign: str, label: str, on: bool) -> str:
