@@ -20,6 +20,7 @@ from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.driving import Driving
 from app.devices.page import PageMaster
+from app.devices.station import Spec, Station
 from app.kinds import Number, bare
 from app.options import Scope, declared
 from app.recording.capture import Tape
@@ -99,13 +100,19 @@ class Session(Driving):
             lock_orientation=options.lock_orientation,
         )
         self._watch = Watch()
+        self._spec = spec = Spec.of(options)
         self._loop: Host
         if child is None:
             self._writer = OrderWriter(orders)
             outbox: Mailbox[Telemetry] = Mailbox()
-            self._loop = ControlLoop(self._writer.inbox, outbox, options.dt, self._ticked)
+            self._loop = ControlLoop(
+                self._writer.inbox, outbox, options.dt, self._ticked,
+                devices=None if spec is None else Station(spec, plant.q0),
+            )  # fmt: skip
         else:
-            self._loop = ControlProcess(child, orders, options.dt, self._ticked, self._watch.miss)
+            self._loop = ControlProcess(
+                child, orders, options.dt, self._ticked, self._watch.miss, spec
+            )
             self._writer = OrderWriter(orders, self._loop.orders)
 
     def __enter__(self) -> Session:
@@ -170,6 +177,11 @@ class Session(Driving):
         Raises:
             Refused: a recording is under way, or the file cannot be made.
         """
+        if self._spec is not None:
+            raise Refused(
+                "a session with masters or arms that are elsewhere is not recorded: it could not "
+                "be repeated from its orders"
+            )
         with self._writer.exclusive():
             return self._loop.record(path)
 
@@ -340,6 +352,8 @@ class Session(Driving):
             named = {"mesh": mesh, "unit": unit, "robot": robot}
             wanted |= {name: value for name, value in named.items() if value is not None} | more
             options = replace(self.options, **wanted)
+            if self._spec is not None and options.robot != self._spec.robot:
+                raise Refused(f"the arm that is elsewhere is a {self._spec.robot}")
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = worker.build(options, self.scene.version + 1, arm, progress, stop)
@@ -364,3 +378,6 @@ class Session(Driving):
         self._watch.take(orders, telemetry, ticked)
         if telemetry.step is not None:
             self.master.feel(telemetry.step.force)
+            if self._spec is not None and self._spec.master != "page":
+                # The handle is drawn where the other master wants the tool.
+                self.master.handle = telemetry.target or telemetry.step.tip

@@ -14,6 +14,7 @@ from app import choices
 from app.kinds import (
     SEEDS,
     Colour,
+    Device,
     File,
     Frame,
     Kind,
@@ -24,9 +25,11 @@ from app.kinds import (
     Place,
     Points,
     Repeated,
+    Share,
     Speed,
     Switch,
     Text,
+    Time,
     Turn,
     Whole,
     bare,
@@ -36,6 +39,7 @@ from app.options import Checked, Record, Scope, declared, option
 from app.words import OptionError
 
 MOST = 64  # structures beside the mesh
+AHEAD = 1e-2  # a set-point of an arm that is elsewhere may be so far ahead of where it is [s]
 
 
 @dataclass(frozen=True)
@@ -309,6 +313,33 @@ class Options(Checked):
         f"Start with a scenario: {', '.join(choices.SCENARIOS)}; or from a JSON file. Other "
         "options override it, except the mesh.", Scope.SERVER,
     )  # fmt: skip
+    arm: str = option(
+        Device("arm"), "sim",
+        "The arm that is moved: sim, or one that is elsewhere, as socket://127.0.0.1:48051 (the "
+        "dVRK's socket streamer, which sends to that port).", Scope.SERVER,
+    )  # fmt: skip
+    master: str = option(
+        Device("master"), "page",
+        "Who moves the tool: page, sim (the autopilot), or socket://HOST:PORT, a console that "
+        "hears the guard as an arm there; with ?listen a hand that sends to that port.",
+        Scope.SERVER,
+    )  # fmt: skip
+    enable: bool = option(
+        Switch(), False,
+        "Enable an arm that is elsewhere as soon as it is heard of; without it nothing moves it "
+        "until it is enabled on the page or by state_command.", Scope.SERVER,
+    )  # fmt: skip
+    delay: float = option(
+        Time(0.0, 10.0), 0.0, "Delay between master and guard, each way, such as 80ms.",
+        Scope.SERVER,
+    )  # fmt: skip
+    jitter: float = option(
+        Time(0.0, 1.0), 0.0, "Standard deviation of what comes on top of the delay.", Scope.SERVER
+    )
+    loss: float = option(
+        Share(0.0, 1.0), 0.0, "Share of what is lost between master and guard, such as 2%.",
+        Scope.SERVER,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -331,6 +362,15 @@ class Options(Checked):
     def dt(self) -> float:
         """Length of a tick [s]."""
         return 1.0 / self.rate
+
+    @property
+    def horizon(self) -> float:
+        """How far ahead of the measured joints a set-point may be [s].
+
+        A tick for the simulated arm, which is there at once. An arm that lags would crawl, or sag:
+        its set-points are certified further ahead, unless structures move meanwhile.
+        """
+        return self.dt if self.arm == "sim" or self.motions else max(self.dt, AHEAD)
 
     @property
     def guards_tool(self) -> bool:

@@ -26,6 +26,7 @@ COMMANDS = {
     "operation.",
     "experiment": "The paper's experiments with a simulated operator: tracing, cutting, power, "
     "replay.",
+    "guard": "Guard a real arm: between a master and an arm that are elsewhere, over sockets.",
     "mesh": "Meshes: list the catalogue, check a file, repair it, make one from a volume.",
     "replay": "Repeat a recorded session without page and clock, compare it bit for bit, write it "
     "as CSV.",

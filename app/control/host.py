@@ -17,6 +17,7 @@ from app.control.clock import Clock, Timing
 from app.control.engine import Orders, State
 from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
+from app.devices.report import Report
 from app.recording.capture import Tape
 from app.refused import Refused
 
@@ -30,6 +31,7 @@ class Host(ABC):
         tape: the current recording or, if there is none, the last one; None: there was none.
         clock: is told the timing of every tick.
         ended: why the loop ended without having been told to; empty: it did not.
+        devices: how the devices were last; None: there are none but the page and its arm.
     """
 
     clock: Clock | Timing
@@ -38,6 +40,7 @@ class Host(ABC):
         self.orders = orders
         self.telemetry = telemetry
         self.ended = ""
+        self.devices: Report | None = None
         self.tape: Tape | None = None
         self._tape: Tape | None = None  # gets every tick
         self._recording = threading.Lock()  # for starting and ending a recording; not in ticks
@@ -75,6 +78,10 @@ class Host(ABC):
         Raises:
             Refused: it has not ended, or cannot be started again.
         """
+
+    @abstractmethod
+    def state_command(self, word: str) -> None:
+        """Order a state of the arm: "enable", "disable", "pause", "resume"."""
 
     def _continued(self, state: State, seen: Orders) -> State:
         """The state to go on from after an end, with the newest orders taken as seen.

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import vf
 from app.control.clock import Clock, Timing
@@ -20,6 +21,7 @@ from app.control.mailbox import Mailbox
 from app.control.messages import Telemetry
 from app.control.priority import CONTROL_PRIORITY, raise_thread_priority
 from app.devices import protocols
+from app.devices.report import Report
 from app.refused import Refused
 
 log = logging.getLogger(__name__)
@@ -37,6 +39,30 @@ LONGEST_INTERVAL = 2e-4  # upper bound of the switch interval [s]
 # Wake-ups are about 50 µs late, so the loop busy-waits for this long before a deadline [s]; other
 # threads still get the interpreter lock within the switch interval.
 SPIN = 1e-4
+
+
+class Devices(Protocol):
+    """Masters and arms; see `app.devices.station`. No method blocks or raises."""
+
+    @property
+    def arm(self) -> protocols.Arm: ...
+
+    @property
+    def report(self) -> Report: ...
+
+    def order(self, word: str) -> None:
+        """A `state_command`, from any thread."""
+        ...
+
+    def before(self, orders: Orders, latest: Telemetry | None) -> Orders:
+        """The orders of a tick, from those of the page and the tick before."""
+        ...
+
+    def after(self, telemetry: Telemetry, ticked: bool) -> None:
+        """Tell the devices what became of it."""
+        ...
+
+    def close(self) -> None: ...
 
 
 class ControlLoop(Host):
@@ -60,6 +86,7 @@ class ControlLoop(Host):
         *,
         state: State | None = None,
         arm: protocols.Arm | None = None,
+        devices: Devices | None = None,
         clock: Clock | Timing | None = None,
     ) -> None:
         """Does not start the thread.
@@ -68,6 +95,7 @@ class ControlLoop(Host):
             dt: length of a tick [s].
             watch: called after every tick, like `Tape.take`.
             state, arm: as in `Engine`.
+            devices: masters and arms that are elsewhere; closed with the loop.
             clock: is told the timing of every tick; None: one of its own.
         """
         super().__init__(orders, telemetry)
@@ -77,8 +105,9 @@ class ControlLoop(Host):
         self.dt = dt
         self.deadline = 0.0
         self._watch = watch
-        self._arm = arm
-        self.engine = Engine(first, state, arm)
+        self._devices = devices
+        self._arm = arm if devices is None else devices.arm
+        self.engine = Engine(first, state, self._arm)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control")
         self.clock = Clock(dt) if clock is None else clock
@@ -103,9 +132,15 @@ class ControlLoop(Host):
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+        if self._devices is not None:
+            self._devices.close()
         self._tape = None
         if self.tape is not None:
             self.tape.finish()
+
+    def state_command(self, word: str) -> None:
+        if self._devices is not None:
+            self._devices.order(word)
 
     def restart(self) -> None:
         if not self.ended:
@@ -129,7 +164,8 @@ class ControlLoop(Host):
                 self._fail("an error of the control loop")
 
     def _loop(self) -> None:
-        engine, clock, dt = self.engine, self.clock, self.dt
+        engine, clock, dt, devices = self.engine, self.clock, self.dt, self._devices
+        telemetry: Telemetry | None = None
         now = time.perf_counter
         spin = min(SPIN, 0.1 * dt)
         deadline = now() + dt
@@ -146,7 +182,12 @@ class ControlLoop(Host):
             tape = self._tape
             if tape is not None and not tape.begun:
                 tape.begin(engine.seen, engine.state)
+            if devices is not None:
+                orders = devices.before(orders, telemetry)
             telemetry, ticked = engine.advance(orders, clock.stats)
+            if devices is not None:
+                devices.after(telemetry, ticked)
+                self.devices = devices.report
             self.telemetry.put(telemetry)
             if tape is not None:
                 tape.take(orders, telemetry, ticked)

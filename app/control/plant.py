@@ -79,7 +79,7 @@ def assemble(description: Description, arm: Arm) -> Plant:
     if options.corridor is not None and description.planned_path is not None:
         fixtures.append(corridor(surface, description.planned_path, options.corridor))
     settings = vf.Settings(
-        dt=options.dt,
+        dt=options.horizon,
         standoff=options.standoff,
         tip_radius=options.tip_radius,
         force_gain=options.force_gain,

@@ -11,9 +11,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from app.control.autopilot import Script
+from app.control.host import Host
 from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
 from app.devices.page import PageMaster, checked_pose
+from app.devices.report import Report
+from app.devices.station import Spec
 from app.kinds import Number
 from app.refused import Refused
 from app.scene import scene as scenes
@@ -30,6 +33,8 @@ class Driving(ABC):
     options: Options
     master: PageMaster
     _writer: OrderWriter
+    _loop: Host
+    _spec: Spec | None
 
     @abstractmethod
     def latest(self) -> Telemetry:
@@ -182,6 +187,27 @@ class Driving(ABC):
             self._to_start()
             self._command(autopilot=True, plant=plant, resets=self._writer.orders.resets + 1)
             self.scene = scene
+
+    @property
+    def devices(self) -> Report | None:
+        """How masters and arms that are elsewhere were last; None: there are none."""
+        return self._loop.devices
+
+    def state_command(self, word: str) -> None:
+        """Order a state of the arm: "enable", "disable", "pause", "resume".
+
+        What cannot be obeyed is logged. The handle moves to the tool.
+
+        Raises:
+            Refused: there is no arm but the sandbox's own.
+        """
+        if self._spec is None:
+            raise Refused("the sandbox's own arm is always enabled")
+        with self._writer.exclusive():
+            self.master.place(self._tool())
+            self.master.hold()
+            self._command(autopilot=False)
+            self._loop.state_command(word)
 
     # Internal; callers hold the lock
 

@@ -35,6 +35,8 @@ from app.control.process import surfaces, wire
 from app.control.process.channel import Channel
 from app.control.process.gaps import Gaps
 from app.control.process.shared import Memory, Queue, Slot
+from app.devices.station import Spec, Station
+from app.words import OptionError
 
 log = logging.getLogger("vf-sandbox control")
 
@@ -94,6 +96,7 @@ class Child:
         self._queue = Queue(memory.data[Slot.SIZE :])
         self._surfaces: list[vf.Surface] = []  # those of the newest plant
         self._loop: ControlLoop | None = None
+        self._station: Station | None = None
         self._told: str = ""  # why to end
 
     def run(self) -> str:
@@ -109,6 +112,8 @@ class Child:
                     break
                 self._obey(content, fd)
             self._forget_plants()
+            if self._station is not None:
+                self.tell("devices", self._station.report)
             if self._loop is not None and not self._loop.alive:
                 self._told = self._loop.ended or "the control loop ended"
         if self._loop is not None:
@@ -136,6 +141,8 @@ class Child:
             self._build(*rest)
         elif kind == "start":
             self._start(*rest)
+        elif kind == "state" and self._station is not None:
+            self._station.order(*rest)
 
     def _build(self, number: int, data: bytes) -> None:
         try:
@@ -155,14 +162,24 @@ class Child:
         for number in [number for number in plants if number < self._inbox.plant]:
             del plants[number]
 
-    def _start(self, dt: float, state: State | None) -> None:
+    def _start(self, dt: float, state: State | None, spec: Spec | None) -> None:
         timing = Timing()
+        if spec is not None:
+            first = self._inbox.get()
+            assert first is not None
+            try:
+                self._station = Station(spec, first.plant.q0 if state is None else state.q)
+            except OptionError as error:
+                self._told = str(error)
+                return
 
         def told(_orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
             queue.put(teller.message(inbox.number, telemetry, ticked))
 
         queue, inbox = self._queue, self._inbox
-        loop = ControlLoop(inbox, Mailbox(), dt, told, state=state, clock=timing)
+        loop = ControlLoop(
+            inbox, Mailbox(), dt, told, state=state, clock=timing, devices=self._station
+        )
         teller = wire.Teller(loop.engine, timing)
         self._loop = loop
         loop.start()

@@ -26,6 +26,7 @@ from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.control.process import surfaces, wire
 from app.control.process.handle import PATIENCE, Child
 from app.control.process.shared import Queue, Slot
+from app.devices.station import Spec
 from app.recording.capture import Tape
 from app.refused import Refused
 
@@ -91,6 +92,7 @@ class ControlProcess(Host):
         dt: float,
         watch: Callable[[Orders, Telemetry, bool], None],
         missed: Callable[[int], None],
+        spec: Spec | None = None,
     ) -> None:
         """Give a new process its first orders; it does not tick yet.
 
@@ -99,6 +101,7 @@ class ControlProcess(Host):
             dt: length of a tick [s].
             watch: called with every tick, from a thread of its own.
             missed: called with how many ticks `watch` was not called for.
+            spec: of masters and arms that are elsewhere.
 
         Raises:
             Refused: the process cannot use these orders.
@@ -107,6 +110,7 @@ class ControlProcess(Host):
         self._slot = Slot(child.memory.data[: Slot.SIZE])
         self._queue = Queue(child.memory.data[Slot.SIZE :])
         self._dt = dt
+        self._spec = spec
         self._listener = wire.Listener(dt)
         self._watch, self._missed = watch, missed
         self.clock = Clock(dt)
@@ -185,6 +189,10 @@ class ControlProcess(Host):
         self._thread = threading.Thread(target=self._run, name="control link", daemon=True)
         self._begin(state)
 
+    def state_command(self, word: str) -> None:
+        with contextlib.suppress(OSError):  # the process ended
+            self._child.channel.send("state", word)
+
     def stop_recording(self) -> Tape:
         self._drain()  # the ticks up to now
         return super().stop_recording()
@@ -192,7 +200,7 @@ class ControlProcess(Host):
     def _begin(self, state: State | None) -> None:
         child = self._child
         with contextlib.suppress(OSError):
-            child.channel.send("start", self._dt, state)
+            child.channel.send("start", self._dt, state, self._spec)
         self._thread.start()
         self._wait(lambda: child.thread is not None, START)
         if child.thread is None:
@@ -286,6 +294,8 @@ class ControlProcess(Host):
                 child.failed[rest[0]] = rest[1]
             elif kind == "running":
                 child.thread = rest[0]
+            elif kind == "devices":
+                self.devices = rest[0]
             elif kind == "ended":
                 child.ending = rest[0]
             self._changed.notify_all()

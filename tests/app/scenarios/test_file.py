@@ -126,6 +126,7 @@ def test_every_setting_of_a_scenario_is_in_its_file_and_no_other() -> None:
     left = {field for field in vars(Options()) if field not in SETTINGS}
     assert left == {
         "rate", "host", "port", "open", "stale_after", "upload_limit", "record", "scenario",
+        "arm", "master", "enable", "delay", "jitter", "loss",
     }  # fmt: skip
     assert content["radius"] == "1mm"
     assert content["proxy"][0] == {"time": 1.5, "at": "-8mm,-8mm,14mm"}

@@ -20,7 +20,7 @@ from app.settings import Registration
 from app.view.controls.margins import MarginLegend
 from app.view.drawing.anatomy import Anatomy
 from app.view.drawing.heat.bands import MOST, bands, legend, ramp, scale
-from app.view.inspector.picking import margin_near
+from app.scene.picking import margin_near
 from app.view.tabs import structure_list
 from app.view.units import VIEW_SCALE
 from tests.support import structured

@@ -1,0 +1,1 @@
+"""Names and semantics of CRTK, the Collaborative Robotics Toolkit, whatever carries them."""

@@ -1,0 +1,207 @@
+"""The guard between an arm and a console, each in a process of its own, over real sockets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.session import Session
+from app.settings import Options
+from tests.support.brute import Oracle
+from tests.support.counterparts import Counterpart, counterpart, free_port
+from tests.support.headless import wait_until
+from tests.support.psm_tip import tips
+
+# What is not done in time on a busy machine is held, and taken up again: no test is of speed.
+AGE = "age=200ms"
+
+
+class Links:
+    def __init__(self, more_of_master: str = "", **more: Any) -> None:
+        self.arm, self.console = free_port(), free_port()
+        values: dict[str, Any] = {
+            "mesh": "sphere", "robot": "psm", "standoff": 1e-4,
+            "arm": f"socket://127.0.0.1:{self.arm}?{AGE}",
+            "master": f"socket://127.0.0.1:{self.console}?{AGE}{more_of_master}",
+        }  # fmt: skip
+        self.options = Options(**values | more)
+
+
+def state_of(session: Session) -> str:
+    return "" if session.devices is None else session.devices.state
+
+
+def crossings(session: Session, log: Path) -> int:
+    """How often the arm's tip crossed the anatomy, by what it told and by where it truly was."""
+    arm = np.load(log)
+    surface = session.scene.surface
+    oracle = Oracle(surface.vertices, surface.faces)
+    return oracle.crossings(tips(arm["told"])) + oracle.crossings(tips(arm["truth"]))
+
+
+def nearest(session: Session, log: Path) -> float:
+    q = np.load(log)["truth"][::20]
+    return min(session.scene.surface.nearest(p)[0] for p in tips(q))
+
+
+def push_for(seconds: float, tmp_path: Path, mesh: str = "sphere") -> None:
+    """Drive a lagging, noisy arm into a mesh over links that lose: it stays out."""
+    links = Links(mesh=mesh)
+    log, console_log = tmp_path / "arm.npz", tmp_path / "console.npz"
+    with (
+        Session(links.options, process=True) as session,
+        counterpart("arm", links.arm, "--loss", "0.01", "--log", str(log)) as arm,
+        counterpart(
+            "console", links.console, "--loss", "0.01", "--follow", "--enable", "--log",
+            str(console_log),
+        ) as console,
+    ):  # fmt: skip
+        wait_until(lambda: state_of(session) == "ENABLED")
+        time.sleep(seconds)
+        report = session.devices
+        assert report is not None
+        assert report.state == "ENABLED", report
+        assert report.sent > 300 * seconds
+        console.quit()
+        arm.quit()
+        assert session.crossing is None
+        assert crossings(session, log) == 0
+        assert nearest(session, log) < 5e-4  # it did come there
+        assert np.abs(np.load(console_log)["forces"]).max() > 0.5
+
+
+def test_a_lagging_noisy_arm_over_lossy_links_stays_out(tmp_path: Path) -> None:
+    push_for(5.0, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mesh", ["skull-closed", "gear", "gyroid", "thin-plate", "canal-block"])
+def test_it_stays_out_of_the_catalogue(mesh: str, tmp_path: Path) -> None:
+    push_for(60.0, tmp_path, mesh)
+
+
+def test_either_side_may_be_first_vanish_and_come_back(tmp_path: Path) -> None:
+    links = Links()
+    with counterpart("console", links.console, "--follow", "--enable") as console:
+        with Session(links.options, process=True) as session:
+            wait_until(lambda: console.asked()["states"] == ["DISABLED"])
+            for _ in range(2):
+                with counterpart("arm", links.arm, "--log", str(tmp_path / "arm.npz")) as arm:
+                    moving(session)
+                    arm.quit()
+                goals = np.load(tmp_path / "arm.npz")["goals"]
+                first = np.load(tmp_path / "arm.npz")["told"][0]
+                # Joined where it stands.
+                assert np.abs(goals[0, 1:] - first).max() < 0.02
+                wait_until(lambda: "silent" in session.devices.arm.trouble)
+            with counterpart("arm", links.arm) as arm:
+                moving(session)
+                console.quit()
+                wait_until(lambda: session.devices.holds != "")
+                with counterpart("console", links.console, "--follow") as another:
+                    moving(session)
+                    another.quit()
+                arm.quit()
+            assert state_of(session) == "ENABLED"
+        assert session.crossing is None
+
+
+def moving(session: Session) -> None:
+    """Wait until set-points go to the arm."""
+    before = session.devices.sent if session.devices is not None else 0
+    wait_until(lambda: session.devices is not None and session.devices.sent > before + 50)
+
+
+FAULTS_OF_THE_ARM = (
+    "nan", "null", "denormal", "invalid", "count", "range", "jump", "back", "silence", "garbage",
+    "long", "array", "huge", "repeat", "swap",
+)  # fmt: skip
+FAULTS_OF_THE_CONSOLE = ("nan", "rotation", "mirror", "jump", "far", "null", "back", "frame",
+                         "repeat")  # fmt: skip
+IGNORED = ("repeat", "swap", "garbage", "array", "long")
+
+
+def inject(times: int, tmp_path: Path) -> None:
+    """Make every fault so many times; what is not ignored is held, and all goes on after it."""
+    links = Links("&frame=base")
+    log = tmp_path / "arm.npz"
+    with (
+        Session(links.options, process=True) as session,
+        counterpart("arm", links.arm, "--log", str(log)) as arm,
+        counterpart("console", links.console, "--follow", "--enable") as console,
+    ):
+        moving(session)
+
+        def make(who: Counterpart, fault: str, refused: Callable[[], dict[str, int]]) -> None:
+            for _ in range(times):
+                before = sum(refused().values())
+                who.tell(fault)
+                if fault != "silence":
+                    wait_until(lambda b=before: sum(refused().values()) > b)
+                moving(session)
+
+        for fault in FAULTS_OF_THE_ARM:
+            make(arm, fault, lambda: session.devices.arm.refused)
+        for fault in FAULTS_OF_THE_CONSOLE:
+            make(console, fault, lambda: session.devices.master.refused)
+        assert state_of(session) == "ENABLED"
+        console.quit()
+        arm.quit()
+        assert session.crossing is None
+        assert not session.ended
+        assert crossings(session, log) == 0
+    made = np.load(log)["injected"].tolist()
+    assert {fault: made.count(fault) for fault in FAULTS_OF_THE_ARM} == dict.fromkeys(
+        FAULTS_OF_THE_ARM, times
+    )
+
+
+def test_every_fault_is_held_and_got_over(tmp_path: Path) -> None:
+    inject(2, tmp_path)
+
+
+@pytest.mark.slow
+def test_every_fault_a_hundred_times(tmp_path: Path) -> None:
+    inject(100, tmp_path)
+
+
+def test_an_arm_started_again_with_its_clock_at_zero_is_taken_up(tmp_path: Path) -> None:
+    links = Links()
+    with (
+        Session(links.options, process=True) as session,
+        counterpart("arm", links.arm) as arm,
+        counterpart("console", links.console, "--follow", "--enable") as console,
+    ):
+        moving(session)
+        time.sleep(0.3)
+        arm.tell("restart")
+        wait_until(lambda: session.devices.arm.refused.get("time goes back", 0) > 0)
+        moving(session)
+        console.quit()
+        arm.quit()
+
+
+def test_a_hand_moves_the_arm_and_feels_it(tmp_path: Path) -> None:
+    links = Links("&listen")
+    log = tmp_path / "console.npz"
+    with (
+        Session(links.options, process=True) as session,
+        counterpart("arm", links.arm) as arm,
+        counterpart("console", links.console, "--hand", "--follow", "--log", str(log)) as hand,
+    ):
+        wait_until(lambda: session.devices is not None and session.devices.master.rate > 100)
+        session.state_command("enable")
+        moving(session)
+        wait_until(lambda: hand.asked()["heard"].get("body/servo_cf", 0) > 2000)
+        hand.tell("send", '{"clutch": {"Type": "PRESSED"}}')
+        wait_until(lambda: session.devices.holds == "the clutch is pressed")
+        hand.tell("send", '{"clutch": {"Type": "RELEASED"}}')
+        moving(session)
+        hand.quit()
+        arm.quit()
+    assert np.abs(np.load(log)["forces"]).max() > 0.3
