@@ -76,7 +76,8 @@ REPORT = 44  # (HEAD + 2 n,) see below
 GUARDS = 45  # (POINTS, GUARD) numbers of each guarded point
 BODY_TABLE = 46  # (BODIES, BODY) integers: what is guarded beside the tip
 MOTIONS = 47  # (FIXTURES, MOTION) how each fixture moves
-WORDS = 48
+DEFORMS = 48  # not an address: 1: the surface of a fixture deforms
+WORDS = 49
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -137,25 +138,38 @@ NODE_MARGINS, OWN_MARGINS = 12, 13  # addresses of (k,), (m,), see `margins.Marg
 VARIED = 14  # m, or 0: the margin is the same for the whole surface
 TOOL = 15  # 1: it guards the bodies of the instrument beside the tip
 MOVES = 16  # 1: it moves in this tick
-SEARCH = 17
+# Of a surface that deforms (else 0), see `vf.tree.shapes`: addresses of the faces of its skeleton
+# (m, 3) int32, of its vertices before and after (n, 3), and of its shifts (k, 6); and numbers that
+# no other shape has: of the shape before, of those between, and of the shape after.
+FACES, BEFORE, AFTER, SHIFTS = 17, 18, 19, 20
+FORM, FORM_BETWEEN, FORM_AFTER = 21, 22, 23
+SEARCH = 24
 
 # Numbers of a fixture.
 SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none
 WITHIN = 3  # 1: inside there, 0: outside
-MARGIN = 4  # [m], where it is the same for the whole surface
-SIDE = 5
+MARGIN = 4  # [m], the largest
+SEEN_FORM, SEEN_BLEND = 5, 6  # the shape of which the side is known
+SIDE = 7
 
 # How a fixture moves: its pose at the start and at the end of the tick, each the rows of the
 # rotation and then the translation, how far it turns [rad], and its origin goes, a bound [m]; what
-# is added to its margins, and how much of that is new [m].
+# is added to its margins, and how much of that is new [m]; its blends at the start and at the end.
 FROM = 0
 TO = 12
 SPIN = 24
 DRIFT = 25
 ADDED = 26
 GROWTH = 27
-MORE = 28  # by how much the ball to search for the tip is larger in its frame [m]
-MOTION = 29
+BLEND, BLEND_AFTER = 28, 29
+MORE = 30  # by how much the ball to search for the tip is larger in its frame [m]
+# How the surface near the tip deforms in the tick, in its frame: the middle of the displacements,
+# and how far they are from it at most, three numbers each [m].
+SHIFT = 31
+SPREAD = 34
+# How far anything near the tool is displaced at most, and from that middle [m].
+MOST_SHIFT, MOST_SPREAD = 37, 38
+MOTION = 39
 
 # Numbers of a guarded point.
 ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from vf.planes import LARGEST, FloatArray, Planes, checked_length
+from vf.planes import LARGEST, FloatArray, Planes, Rule, checked_blend, checked_length
 
 # A rotation may be off orthonormal by this; it is made orthonormal where it is off by more than
 # rounding.
@@ -31,21 +31,31 @@ class Motion:
         margin: added to the margins of the fixture in this tick [m], as for a structure whose
             place is known to within that length. The certified rule alone uses it.
         growth: of the margin since the last tick [m]: the tool is led out by that much faster.
+        blend: of a `DeformingSurface`, how far it is on its way from the one shape to the other at
+            the start and at the end of the tick, each from 0 to 1. In between vertices move
+            straight, in the frame of the structure.
 
     Raises:
         ValueError: not a pose, not finite, too far from the base, its rotation is not one, or from
-            start to end it turns by 3 rad or more, or margin or growth is no length.
+            start to end it turns by 3 rad or more, or margin or growth is no length, or a blend is
+            not from 0 to 1.
     """
 
-    __slots__ = ("packed", "record")
+    __slots__ = ("deforms", "packed", "record")
 
-    # (28,) rows of the rotation, then the translation, at start and end; how far it turns [rad]
-    # and, a bound, its origin goes [m]; margin and growth [m].
+    # (30,) rows of the rotation, then the translation, at start and end; how far it turns [rad]
+    # and, a bound, its origin goes [m]; margin and growth [m]; blends at start and end.
     record: FloatArray
     packed: bytes  # of the record
+    deforms: bool  # whether a blend is not 0
 
     def __init__(
-        self, start: pin.SE3, end: pin.SE3, margin: float = 0.0, growth: float = 0.0
+        self,
+        start: pin.SE3,
+        end: pin.SE3,
+        margin: float = 0.0,
+        growth: float = 0.0,
+        blend: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         poses = np.concatenate([_numbers("start", start), _numbers("end", end)])
         R0, R1 = poses[:9].reshape(3, 3), poses[12:21].reshape(3, 3)
@@ -57,10 +67,11 @@ class Motion:
         # Of a constant twist the origin's path is longer than the way.
         drift = float(np.linalg.norm(poses[21:] - poses[9:12])) * (1.0 + 0.25 * turn * turn)
         margins = [checked_length("margin", margin), checked_length("growth", growth)]
-        record = np.concatenate([poses, [turn, drift], margins])
+        record = np.concatenate([poses, [turn, drift], margins, _blends(blend)])
         record.flags.writeable = False
         object.__setattr__(self, "record", record)
         object.__setattr__(self, "packed", record.tobytes())
+        object.__setattr__(self, "deforms", bool(record[28:].any()))
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("a Motion does not change: make another")
@@ -81,6 +92,10 @@ class Motion:
     def growth(self) -> float:
         return float(self.record[27])
 
+    @property
+    def blend(self) -> tuple[float, float]:
+        return float(self.record[28]), float(self.record[29])
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Motion) and self.packed == other.packed
 
@@ -88,7 +103,7 @@ class Motion:
         return hash(self.packed)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Motion, (self.start, self.end, self.margin, self.growth)
+        return Motion, (self.start, self.end, self.margin, self.growth, self.blend)
 
     def __repr__(self) -> str:
         return f"Motion({self.record[9:12].tolist()} → {self.record[21:24].tolist()} m)"
@@ -110,6 +125,35 @@ def _numbers(name: str, pose: Any) -> FloatArray:
         R = 0.5 * R @ (3.0 * np.eye(3) - R.T @ R)
         off = float(np.abs(R.T @ R - np.eye(3)).max())
     return np.concatenate([R.ravel(), t])
+
+
+def _blends(blend: Any) -> list[float]:
+    try:
+        start, end = blend
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"the blend of a motion must be two numbers, at its start and its end, got {blend!r}"
+        ) from None
+    return [checked_blend("blend at the start", start), checked_blend("blend at the end", end)]
+
+
+def shifted(planes: Planes, shift: FloatArray, spread: FloatArray) -> tuple[Planes, FloatArray]:
+    """Planes where they have to be for a surface that deforms, and how far each was moved (m,) [m].
+
+    What they cover is displaced by `shift` (3,), give or take `spread` (3,).
+    """
+    wide = np.abs(planes.normals) @ spread
+    if planes.floors is not None:
+        # The plane that lets a tool inside get no deeper covers nothing: it goes along.
+        wide = np.where((planes.rules == Rule.EXIT) & (planes.floors == -np.inf), 0.0, wide)
+    along = planes.normals @ shift + wide
+    moved = replace(
+        planes,
+        offsets=planes.offsets + along,
+        points=planes.points + shift + wide[:, None] * planes.normals,
+        floors=None if planes.floors is None else planes.floors + along,
+    )
+    return moved, along
 
 
 def seen_from(pose: FloatArray, x: FloatArray) -> FloatArray:

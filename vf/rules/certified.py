@@ -49,6 +49,7 @@ from vf.tree.axis import (
     triangle_gap2,
 )
 from vf.tree.pdtree import EXACT, Tree, children_of, triangles_of
+from vf.tree.shapes import RIGID, place_corners
 
 BUDGET = 64  # planes that a walk may choose; masks have one bit for each
 # On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
@@ -145,8 +146,8 @@ def cover(
 
 @njit(cache=True, nogil=True)
 def walk(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, margin, highest, own, lowered, walls, ends, radius,
-    standoff, thickness, ease, planes, first, queue, polygons,
+    nodes, corners, order, slivers, edges, shape, margin, highest, own, lowered, walls, ends,
+    radius, standoff, thickness, ease, planes, first, queue, polygons,
 ):  # fmt: skip
     """Planes from row `first` on: their number, the radius they hold in, how far margins are lower.
 
@@ -158,6 +159,8 @@ def walk(  # type: ignore[no-untyped-def]
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
+        shape: of a mesh that deforms, see `shapes.place_corners`: corners and slivers are written
+            where the walk comes to them; else `RIGID`.
         margin, highest, own: `margins.Margins` [m]; where they vary, what `margin` is above the
             largest of them is added to all.
         lowered: by how much the margins are lowered from the outset [m].
@@ -230,6 +233,8 @@ def walk(  # type: ignore[no-untyped-def]
                 first, last = children_of(link)
             else:
                 first, last = triangles_of(link)
+                if shape[0] != 0:
+                    place_corners(shape, first, last)
             if size + last - first >= HEAP:
                 valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
                 break
@@ -376,7 +381,8 @@ def walk_alone(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """`walk` with its own working memory, for a single call from Python: planes and radius."""
     m, valid, _lowered = walk(
-        nodes, corners, order, slivers, edges, margin, highest, own, 0.0, walls, ends, radius,
-        standoff, thickness, ease, planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
+        nodes, corners, order, slivers, edges, RIGID, margin, highest, own, 0.0, walls, ends,
+        radius, standoff, thickness, ease, planes, 0, np.empty((HEAP, 3)),
+        np.empty((2, CORNERS, 3)),
     )  # fmt: skip
     return m, valid
