@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 PROGRAM = "vf-sandbox verify"
 PASSED, BROKEN = 0, 1
 DAMAGES = ("all", *choices.DAMAGES)
-MOTIONS = ("rigid",)
+MOTIONS = ("rigid", "deforming", "both", "all")
 LEAK_EDGES = (0.3, 1.0, 3.0)
 # Standoff and tip radius of the leak queries, in turn [m].
 LEAK_TOOLS = ((20e-6, 0.0), (0.0, 0.0), (1e-3, 0.0), (20e-6, 5e-4), (0.0, 1e-4))
@@ -114,8 +114,8 @@ class Verify(Checked):
     )  # fmt: skip
     motion: str | None = option(
         Maybe(OneOf("motion", MOTIONS)), None,
-        "Let the mesh move, to 0.2 m/s and 2 rad/s, at 50 Hz, 200 Hz and 1 kHz in turn, and judge "
-        "by its true motion; not given: it rests.",
+        "Let the mesh move to 0.2 m/s and 2 rad/s, deform to 0.1 m/s, both, or all three, at 50, "
+        "200 and 1,000 Hz in turn, and judge by its true motion; not given: it rests.",
     )  # fmt: skip
     tracker: Tracker | None = like(
         Options, "tracker",

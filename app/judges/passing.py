@@ -199,6 +199,36 @@ class Judge:
         return screws.place(self.screws, q)
 
 
+def first_touch(
+    mesh: Shapes,
+    start: FloatArray,
+    end: FloatArray,
+    radius: float,
+    blend: tuple[float, float],
+) -> tuple[int, float] | None:
+    """Where a ball first touches a mesh that deforms: triangle and share of the way.
+
+    Its centre goes straight from start to end (3,), frame of the mesh, while the mesh goes from one
+    share of the way between its shapes to another. A ball without a radius [m] is a point.
+    """
+    way = end - start
+    length = float(np.linalg.norm(way))
+    line = np.zeros((1, 7))
+    line[0, :3] = way / length if length > 0.0 else (1.0, 0.0, 0.0)
+    one, ends = np.zeros(1), np.stack([start, start])
+    shares, triangles = np.empty(1), np.empty(1, dtype=np.int64)
+    found = np.empty(ROOM, dtype=np.int64)
+    while True:
+        room = first_passes(
+            *mesh.boxes, mesh.vertices, mesh.ways, mesh.faces, blend[0], blend[1], line, one, ends,
+            np.ones(2, dtype=np.int64), np.array([radius]), np.zeros(1, dtype=np.int64), one,
+            np.array([length]), found, shares, triangles,
+        )  # fmt: skip
+        if room == 0:
+            return (int(triangles[0]), float(shares[0])) if triangles[0] >= 0 else None
+        found = np.empty(room, dtype=np.int64)
+
+
 @njit(cache=True, nogil=True)
 def _enclose(vertices, ways, faces, corners):  # type: ignore[no-untyped-def]
     """Lowest and highest corner of what every triangle passes through, into (2m, 3)."""

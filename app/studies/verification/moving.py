@@ -132,7 +132,7 @@ def _episode(
             _aim(aim, judge, scene, q, rng)
         if scene.swelling is not None and scene.ticks == scene.swelling.ticks:
             scene.deform(aim.face, truth.now.rotation.T @ aim.towards)
-            controller.replace(0, scene.surface)  # type: ignore[attr-defined]
+            controller.replace(0, scene.surface)
         blend = scene.blend
         scene.ticks += 1
         before = truth.now

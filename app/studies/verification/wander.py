@@ -85,6 +85,8 @@ class Truth:
         now: T_base_structure then.
     """
 
+    form = None  # of a `Course`: it keeps its shape
+
     def __init__(self, pose: pin.SE3) -> None:
         self.time, self.now = 0.0, pose
         self._times, self._poses = [0.0], [pose]

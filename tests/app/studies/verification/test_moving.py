@@ -14,7 +14,7 @@ import vf
 from app.commands import call
 from app.motion.declared import Tracker
 from app.motion.movement import Movement
-from app.studies.verification import moving, wander
+from app.studies.verification import moving, swelling, wander
 from app.studies.verification.moving import Passed
 from meshes.builtin.damage import damage
 
@@ -30,14 +30,16 @@ def driven(robot: str = "psm", mesh: str = "torus", **options: object) -> Passed
 
 
 @pytest.mark.parametrize(
-    ("robot", "guard", "period", "noise"),
-    [("psm", "tool", 1e-3, 5e-3), ("psm", "tool", 0.02, 0.0), ("ur5", "tool", 5e-3, 0.0),
-     ("point", None, 5e-3, 5e-3)],
+    ("motion", "robot", "guard", "period", "noise"),
+    [("rigid", "psm", "tool", 1e-3, 5e-3), ("rigid", "psm", "tool", 0.02, 0.0),
+     ("rigid", "ur5", "tool", 5e-3, 0.0), ("rigid", "point", None, 5e-3, 5e-3),
+     ("deforming", "psm", "tool", 5e-3, 5e-3), ("deforming", "point", None, 0.02, 0.0),
+     ("both", "psm", "tool", 5e-3, 0.0), ("both", "psm", None, 1e-3, 5e-3)],
 )  # fmt: skip
 def test_nothing_is_met_but_in_overtaken_ticks_and_then_as_deep_as_said(
-    robot: str, guard: str | None, period: float, noise: float
+    motion: str, robot: str, guard: str | None, period: float, noise: float
 ) -> None:
-    result = driven(robot, guard=guard, period=period, noise=noise)
+    result = driven(robot, motion=motion, guard=guard, period=period, noise=noise)
     assert result.ticks == 400
     assert result.crossings == 0, result.first
     assert result.too_deep == 0, result.first_deep
@@ -61,6 +63,36 @@ def test_a_guard_that_ignores_the_motion_is_seen_to_be_crossed(
     motion = vf.Motion
     monkeypatch.setattr(vf, "Motion", lambda start, _end, **more: motion(start, start, **more))
     assert driven(guard=None).crossings > 0
+
+
+def test_a_guard_that_ignores_how_it_deforms_is_seen_to_be_crossed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It knows each shape when the vertices have left it."""
+    motion = vf.Motion
+
+    def late(*poses: pin.SE3, blend: tuple[float, float]) -> vf.Motion:
+        return motion(*poses, blend=(blend[0], blend[0]))
+
+    assert driven("point", motion="deforming", guard=None, period=5e-3).crossings == 0
+    monkeypatch.setattr(vf, "Motion", late)
+    assert driven("point", motion="deforming", guard=None, period=5e-3).crossings > 0
+
+
+def test_shapes_are_as_fast_as_said_and_no_faster() -> None:
+    rng = np.random.default_rng(2)
+    mesh = meshes.arrays("torus")
+    fastest = []
+    for period in (1e-3, 5e-3, 0.02):
+        one = swelling.Swelling(mesh, period, rng)
+        before = one.vertices
+        for _ in range(60):
+            after = one.go(int(rng.integers(len(mesh[1]))), rng.normal(size=3))
+            way = np.linalg.norm(after - before, axis=1).max()
+            fastest.append(way / (one.ticks * period))
+            before = after
+    assert 0.06 < max(fastest) <= swelling.FASTEST
+    assert min(fastest) == 0.0
 
 
 def test_a_guard_that_leaves_out_the_bend_of_paths_is_seen_to_be_crossed(
@@ -195,12 +227,13 @@ def test_the_command_moves_the_mesh(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["psm", "panda", "ur5", "point"])
+@pytest.mark.parametrize("motion", ["rigid", "both"])
 @pytest.mark.parametrize("kind", ["none", "flipped", "holes", "slivers"])
-def test_nothing_is_met_in_long_campaigns(robot: str, kind: str) -> None:
+def test_nothing_is_met_in_long_campaigns(robot: str, kind: str, motion: str) -> None:
     for number, period in enumerate((1e-3, 5e-3, 0.02)):
         mesh = damage(kind, meshes.arrays(("gear", "thin-plate", "stairs")[number]), seed=1)
         result = moving.drive(
-            robots.load(robot), mesh, motion="rigid", guard="tool", radius=(5e-3, None)[number % 2],
-            period=period, steps=2_500, seed=number, noise=5e-3 * (number % 2),
+            robots.load(robot), mesh, motion=motion, guard="tool", radius=(5e-3, None)[number % 2],
+            period=period, steps=1_500, seed=number, noise=5e-3 * (number % 2),
         )  # fmt: skip
         assert (result.crossings, result.too_deep) == (0, 0), (result.first, result.first_deep)
