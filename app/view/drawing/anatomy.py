@@ -38,6 +38,7 @@ class Follows:
 
     def __init__(self, vertices: NDArray[np.float64], shown: NDArray[np.float64]) -> None:
         self.due = -np.inf  # monotonic time of the next shape [s]
+        self.phase = -1.0  # of the motion, of the shape that was drawn last [s]
         self._vertices, self._shown = vertices, shown
         self._of = np.asarray(cKDTree(vertices).query(shown)[1])
 
@@ -122,6 +123,8 @@ class Anatomy(Part):
             return
         drawn = self._drawn[0]
         drawn.whole = part is None
+        if drawn.follows is not None:
+            drawn.follows.phase = -1.0
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
         drawn.mesh = self._add(
             "/anatomy/mesh", drawn, vertices, faces, scene.fronts_only and part is None
@@ -187,10 +190,10 @@ class Anatomy(Part):
 
     def _deform(self, k: int, drawn: _Drawn, shown: Moment) -> None:
         """Give a structure that deforms its shape, every `RESHAPED` seconds."""
-        follows, now = drawn.follows, time.monotonic()
-        if follows is None or shown.shape(k) is None or now < follows.due:
+        follows, now, phase = drawn.follows, time.monotonic(), shown.telemetry.phase
+        if follows is None or shown.shape(k) is None or now < follows.due or phase == follows.phase:
             return
-        follows.due = now + RESHAPED
+        follows.due, follows.phase = now + RESHAPED, phase
         for node, vertices, size in (
             (drawn.mesh if drawn.whole else None, shown.shape(k), 1.0),
             (drawn.ghost, shown.shape(k, believed=True), GHOST_SIZE),
