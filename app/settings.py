@@ -34,7 +34,7 @@ from app.kinds import (
     Whole,
     bare,
 )
-from app.motion.declared import KINDS, Motion, Tracker
+from app.motion.declared import DEFORMING, KINDS, Motion, Tracker
 from app.options import Checked, Record, Scope, declared, option
 from app.words import OptionError
 
@@ -200,8 +200,8 @@ class Options(Checked):
     motions: tuple[Motion, ...] = option(
         Repeated(Record(Motion, "a motion")), (),
         f"A motion of structures: {', '.join(KINDS)}. May be repeated. What follows it directly is "
-        "of this motion: --move, --turn, --period, --after, --file, --of with the name of a "
-        "structure, else all move.",
+        "of this motion: --move, --turn, --period, --after, --file, --amplitude, --of with the "
+        "name of a structure, else all move.",
         Scope.MESH, flag="motion",
     )  # fmt: skip
     tracker: Tracker | None = option(
@@ -347,6 +347,12 @@ class Options(Checked):
             raise OptionError(f"structures are {len(self.structures)}: at most {MOST} are guarded")
         if len(self.motions) > MOST:
             raise OptionError(f"motions are {len(self.motions)}: there may be {MOST} at most")
+        deforms = any(motion.kind in DEFORMING for motion in self.motions)
+        if deforms and self.tracker is not None and self.tracker.predictor != "off":
+            raise OptionError(
+                f"the predictor {self.tracker.predictor} is of poses: not with a structure that "
+                "changes its shape"
+            )
 
     @cached_property
     def anatomy(self) -> tuple[Structure, ...]:

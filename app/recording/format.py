@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.control.autopilot import Course
-from app.control.engine import State
+from app.control.messages import State
 from app.options import declared
 from app.settings import Options
 

@@ -20,8 +20,8 @@ import meshes
 import vf
 from app import choices
 from app.control.autopilot import Course
-from app.control.engine import Orders, Plant, State
-from app.control.messages import Telemetry
+from app.control.engine import Orders, Plant
+from app.control.messages import State, Telemetry
 from app.files import numbered
 from app.motion.movement import checksum
 from app.options import raw

@@ -140,7 +140,8 @@ def build(
         notes.append(f"Not closed, so guarded from both sides: {', '.join(open_ones)}.")
 
     surfaces = (surface, *(one.surface for one in built))
-    moved = courses(options.motions, [str(own.name) for own in options.anatomy], surfaces)
+    names_of = [str(own.name) for own in options.anatomy]
+    moved = courses(options.motions, names_of, surfaces, options.dt)
     notes += too_fast(options.tracker, moved, surfaces)
 
     added = registered(options, T_base_mesh)

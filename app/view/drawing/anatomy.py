@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import vf
 from app.judges.meeting import sees
@@ -26,7 +27,28 @@ TRANSLUCENT = 0.3
 GHOST_OPACITY = 0.25
 GHOST_SIZE = 0.999  # where both coincide, the structure itself is seen
 HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
+RESHAPED = 0.08  # between two shapes of a structure that deforms, on the page [s]
 TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
+
+
+class Follows:
+    """What is drawn of a mesh, as the mesh deforms: each vertex goes with the nearest of the mesh.
+
+    Args:
+        vertices, shown: (n, 3) and (k, 3) at rest, of the mesh and of what is drawn [m].
+    """
+
+    def __init__(self, vertices: NDArray[np.float64], shown: NDArray[np.float64]) -> None:
+        self.due = -np.inf  # monotonic time of the next shape [s]
+        self.phase = -1.0  # of the motion, of the shape that was drawn last [s]
+        self._vertices, self._shown = vertices, shown
+        self._of = np.asarray(cKDTree(vertices).query(shown)[1])
+
+    def shape(self, vertices: NDArray[np.float64], size: float = 1.0) -> NDArray[np.float64]:
+        """What is drawn (k, 3) of a shape (n, 3) [m], `size` times as large."""
+        found = self._shown + (vertices - self._vertices)[self._of]
+        middle = 0.5 * (found.min(axis=0) + found.max(axis=0))
+        return np.asarray(middle + size * (found - middle))
 
 
 class _Drawn:
@@ -41,6 +63,7 @@ class _Drawn:
         self.whole = True  # not cut
         self.pose: pin.SE3 | None = None  # T_rest_now; None: it rests
         self.ghost: viser.MeshHandle | None = None  # where the guard believes it
+        self.follows: Follows | None = None  # how what is drawn of it deforms
 
     def hides(self, eyes: Sequence[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> bool:
         return self.whole and any(
@@ -99,6 +122,10 @@ class Anatomy(Part):
                 built.fronts_only,
             )  # fmt: skip
             self._heat.set_shape(k, built.vertices_shown, built.faces_shown, built.fronts_only)
+        looks_of = [scene.vertices_shown, *(one.vertices_shown for one in scene.structures)]
+        for drawn, course, vertices in zip(self._drawn, scene.courses, looks_of, strict=False):
+            if course is not None and course.form is not None:
+                drawn.follows = Follows(drawn.surface.vertices, vertices)
         if scene.options.tracker is not None:
             self._add_ghosts(scene)
 
@@ -109,6 +136,8 @@ class Anatomy(Part):
             return
         drawn = self._drawn[0]
         drawn.whole = part is None
+        if drawn.follows is not None:
+            drawn.follows.phase = -1.0
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
         fronts_only = scene.fronts_only and part is None
         drawn.mesh = self._add("/anatomy/mesh", drawn, vertices, faces, fronts_only)
@@ -177,6 +206,20 @@ class Anatomy(Part):
             place(drawn.mesh, pose)
             place(drawn.ghost, shown.believed(k))
             self._heat.move(k, pose)
+            self._deform(k, drawn, shown)
+
+    def _deform(self, k: int, drawn: _Drawn, shown: Moment) -> None:
+        """Give a structure that deforms its shape, every `RESHAPED` seconds."""
+        follows, now, phase = drawn.follows, time.monotonic(), shown.telemetry.phase
+        if follows is None or shown.shape(k) is None or now < follows.due or phase == follows.phase:
+            return
+        follows.due, follows.phase = now + RESHAPED, phase
+        for node, vertices, size in (
+            (drawn.mesh if drawn.whole else None, shown.shape(k), 1.0),
+            (drawn.ghost, shown.shape(k, believed=True), GHOST_SIZE),
+        ):
+            if node is not None and vertices is not None:
+                node.vertices = to_buffer(follows.shape(vertices, size))
 
     def _add_ghosts(self, scene: Scene) -> None:
         shapes = [(scene.vertices_shown, scene.faces_shown)]
