@@ -129,4 +129,24 @@
     play(said);
     if (said) feel(said);
   }, 40);
+  // Such a button is replaced with its HTML when that changes, which takes the focus away: give it
+  // to the button of the same order.
+  let ordering = null;
+  addEventListener("focusin", (event) => {
+    ordering = event.target instanceof Element ? event.target.closest("[data-vf-order]") : null;
+  });
+  addEventListener("focusout", () => {
+    // Also sent while the button is being removed: afterwards is known which it was.
+    const left = ordering;
+    queueMicrotask(() => {
+      if (left === ordering && left?.isConnected) ordering = null;
+    });
+  });
+  new MutationObserver(() => {
+    if (ordering === null || ordering.isConnected) return;
+    const lost = document.activeElement === document.body;
+    const same = document.querySelector(`[data-vf-order="${ordering.dataset.vfOrder}"]`);
+    ordering = null;
+    if (lost) same?.focus({ preventScroll: true });
+  }).observe(document, { childList: true, subtree: true });
 })();

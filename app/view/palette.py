@@ -64,6 +64,14 @@ LOOKS: dict[vf.Rule, Look] = {
 }
 
 
+CONDITIONS = (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY)
+"""Of the paper's rule. Planes of the certified rule are classed by them too, see `CLASSED`."""
+CLASSED = (
+    "Conditions 1–3 are those of the paper’s rule. Planes of the certified rule have their colours "
+    "by where on its triangle the closest point lies; that rule does not ask for them."
+)
+
+
 class TriangleState(Enum):
     """The inspector's classes of triangles in the motion sphere."""
 

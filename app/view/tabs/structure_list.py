@@ -40,7 +40,12 @@ class StructureList:
     sheet beside them, so that a row that is being clicked stays the same element.
     """
 
-    def __init__(self, context: PageContext) -> None:
+    def __init__(
+        self,
+        context: PageContext,
+        remove: Callable[[viser.ClientHandle | None, int], None],
+    ) -> None:
+        """`remove` takes the structure of a number out of the scene; it may block."""
         self._session, self._source = context.session, context.source
         self._anatomy, self._input = context.anatomy, context.client_input
         self._notify = context.notify
@@ -73,6 +78,12 @@ class StructureList:
             self._visible = gui.add_checkbox("Visible", True)
             self._opacity = gui.add_slider("Opacity", 0.05, 1.0, 0.05, 1.0)
             self._colour = gui.add_rgb("Colour", palette.BONE)
+            self._remove = gui.add_button(
+                "Remove structure",
+                hint="Take it out of the scene; the mesh stays.",
+                icon=viser.Icon.TRASH,
+                color="gray",
+            )
         self._margin = NumberField(
             margin,
             (0.0, limits.high * 1e3),
@@ -88,6 +99,11 @@ class StructureList:
         self._bind(self._colour, lambda value: self._set(colour=_hex(value)))
         self._bind(self._visible, lambda value: self._anatomy.show_structure(self._number, value))
         self._bind(self._choice, lambda value: self._choose(_number_of(value)))
+
+        # A plain function: viser runs it in its thread pool, so it may block.
+        @self._remove.on_click
+        def _removed(event: viser.GuiEvent[Any]) -> None:
+            remove(event.client, self._number)
 
         @self._orders.on_update
         async def _ordered(event: viser.GuiEvent[Any]) -> None:
@@ -126,6 +142,8 @@ class StructureList:
             control.disabled = not live and control not in (self._visible, self._choice)
         # The mesh is guarded as the session says.
         self._guard.disabled = not live or number == 0
+        self._remove.disabled = not live
+        self._remove.visible = number > 0
 
     def _own(self) -> Structure:
         """The settings of the chosen structure."""
