@@ -15,7 +15,8 @@ from app.control.messages import Command, LoopStats, Telemetry
 from app.devices.remote import transports
 from app.devices.remote.messages import Message
 from app.devices.sockets.dialect import decode, encode
-from app.devices.station import Spec, Station
+from app.devices.spec import Spec
+from app.devices.station import Station
 from app.kinds.links import Address
 from app.scene import scene as scenes
 from app.scene.scene import Scene
