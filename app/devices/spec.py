@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+import pinocchio as pin
 
 from app.kinds.links import Address, Link, parse_address
 from app.settings import Options
+
+MOVE_SPEED = 0.05, 0.5  # of the tool in a move of its own [m/s, rad/s]
 
 
 @dataclass(frozen=True)
@@ -43,3 +48,10 @@ class Spec:
     def addresses(self) -> tuple[Address, Address]:
         """Those of arm and master."""
         return parse_address("arm", self.arm), parse_address("master", self.master, self.link)
+
+
+def move_time(start: pin.SE3, end: pin.SE3) -> float:
+    """How long a move from one pose to another takes, from rest to rest [s]."""
+    way = math.dist(start.translation, end.translation) / MOVE_SPEED[0]
+    turn = math.hypot(*pin.log3(start.rotation.T @ end.rotation)) / MOVE_SPEED[1]
+    return max(way, turn) * 15.0 / 8.0  # minimum jerk is so much faster than its mean

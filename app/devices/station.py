@@ -32,7 +32,7 @@ from app.devices.remote.line import Line
 from app.devices.remote.master import Asked, RemoteMaster, Tick
 from app.devices.report import Latencies, LinkReport, Rate, Report
 from app.devices.simulated import SimulatedArm
-from app.devices.spec import Spec
+from app.devices.spec import Spec, move_time
 from robots import psm
 
 log = logging.getLogger(__name__)
@@ -43,7 +43,6 @@ GROSS = 5e-3  # farther off the certified path is a fault, not a hold [m]
 REPORTED = 0.1  # period of the report [s]
 QUIET = 2.0  # a reason to hold is logged again after so long [s]
 WARNED = 0.2  # and told to the master's side [s]
-MOVE_SPEED = 0.05, 0.5  # of the tool in a move of its own [m/s, rad/s]
 BEYOND = {"psm": psm.TIP_LENGTH}
 """By robot: how far the tip lies beyond the point that poses on a wire are of, along its z [m]."""
 
@@ -368,10 +367,3 @@ def _limit(orders: Orders, latest: Telemetry | None) -> float:
     if step is None:
         return standoff
     return max(standoff, 0.5 * min(step.distance, step.radius))
-
-
-def move_time(start: pin.SE3, end: pin.SE3) -> float:
-    """How long a move from one pose to another takes, from rest to rest [s]."""
-    way = math.dist(start.translation, end.translation) / MOVE_SPEED[0]
-    turn = math.hypot(*pin.log3(start.rotation.T @ end.rotation)) / MOVE_SPEED[1]
-    return max(way, turn) * 15.0 / 8.0  # minimum jerk is so much faster than its mean

@@ -35,6 +35,7 @@ class Wire:
         self.refused: dict[str, int] = {}
         self.clock = clock
         self.sent: list[tuple[str, Any]] = []
+        self.goals: list[np.ndarray] = []
         self.waiting: list[Message] = []
 
     def put(self, content: dict[str, Any]) -> None:
@@ -45,7 +46,10 @@ class Wire:
         return found
 
     def send(self, message: Message, now: float) -> None:
-        self.sent += json.loads(encode(message)).items()
+        for name, value in json.loads(encode(message)).items():
+            self.sent.append((name, value))
+            if name == "servo_jp":
+                self.goals.append(np.array(value["Goal"]))
 
     def close(self) -> None: ...
 
@@ -96,7 +100,7 @@ class Bench:
 
     @property
     def setpoints(self) -> list[np.ndarray]:
-        return [np.array(value["Goal"]) for value in self.arm.named("servo_jp")]
+        return self.arm.goals
 
     @property
     def tool(self) -> pin.SE3:
