@@ -20,7 +20,8 @@ from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.driving import Driving
 from app.devices.page import PageMaster
-from app.devices.station import Spec, Station
+from app.devices.spec import Spec
+from app.devices.station import Station
 from app.kinds import Number, bare
 from app.options import Scope, declared
 from app.recording.capture import Tape

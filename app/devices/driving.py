@@ -16,7 +16,7 @@ from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
 from app.devices.page import PageMaster, checked_pose
 from app.devices.report import Report
-from app.devices.station import Spec
+from app.devices.spec import Spec
 from app.kinds import Number
 from app.refused import Refused
 from app.scene import scene as scenes

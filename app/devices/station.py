@@ -13,7 +13,7 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,8 +32,7 @@ from app.devices.remote.line import Line
 from app.devices.remote.master import Asked, RemoteMaster, Tick
 from app.devices.report import Latencies, LinkReport, Rate, Report
 from app.devices.simulated import SimulatedArm
-from app.kinds.links import Address, Link, parse_address
-from app.settings import Options
+from app.devices.spec import Spec, move_time
 from robots import psm
 
 log = logging.getLogger(__name__)
@@ -44,48 +43,10 @@ GROSS = 5e-3  # farther off the certified path is a fault, not a hold [m]
 REPORTED = 0.1  # period of the report [s]
 QUIET = 2.0  # a reason to hold is logged again after so long [s]
 WARNED = 0.2  # and told to the master's side [s]
-MOVE_SPEED = 0.05, 0.5  # of the tool in a move of its own [m/s, rad/s]
 BEYOND = {"psm": psm.TIP_LENGTH}
 """By robot: how far the tip lies beyond the point that poses on a wire are of, along its z [m]."""
 
 _NUMBER = re.compile(r"[0-9.]+")
-
-
-@dataclass(frozen=True)
-class Spec:
-    """What a station is made of; it can be pickled.
-
-    Attributes:
-        arm, master: their addresses, see `app.kinds.links`.
-        link: disturbances of the master's link, where its address has none.
-        robot: name of the arm's model.
-        dt: length of a tick [s].
-        horizon: how far ahead of the measured joints a set-point may be [s].
-        enable: whether to enable the arm as soon as it is heard of.
-    """
-
-    arm: str
-    master: str
-    link: Link
-    robot: str
-    dt: float
-    horizon: float
-    enable: bool
-
-    @staticmethod
-    def of(options: Options) -> Spec | None:
-        """What the options ask for; None: arm and master of the sandbox itself."""
-        link = Link(options.delay, options.jitter, options.loss)
-        if options.arm == "sim" and options.master == "page" and link.clear:
-            return None
-        return Spec(
-            options.arm, options.master, link, options.robot, options.dt, options.horizon,
-            options.enable or options.arm == "sim",
-        )  # fmt: skip
-
-    def addresses(self) -> tuple[Address, Address]:
-        """Those of arm and master."""
-        return parse_address("arm", self.arm), parse_address("master", self.master, self.link)
 
 
 class Station:
@@ -406,10 +367,3 @@ def _limit(orders: Orders, latest: Telemetry | None) -> float:
     if step is None:
         return standoff
     return max(standoff, 0.5 * min(step.distance, step.radius))
-
-
-def move_time(start: pin.SE3, end: pin.SE3) -> float:
-    """How long a move from one pose to another takes, from rest to rest [s]."""
-    way = math.dist(start.translation, end.translation) / MOVE_SPEED[0]
-    turn = math.hypot(*pin.log3(start.rotation.T @ end.rotation)) / MOVE_SPEED[1]
-    return max(way, turn) * 15.0 / 8.0  # minimum jerk is so much faster than its mean

@@ -148,7 +148,7 @@ class StandIn:
         elif fault == "back":
             js["Timestamp"] -= 10.0
         elif fault == "silence":
-            self.silent_until = now + 0.3
+            self.silent_until = now + 0.5
             return
         if fault == "garbage":
             self.put(b"\xff\xfe{not json", now)

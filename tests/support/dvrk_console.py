@@ -166,6 +166,9 @@ def main() -> None:
         if said.enable and state == "DISABLED" and now - asked > 0.2:
             asked = now
             console.send({"state_command": "enable"})
+        if said.enable and state == "FAULT" and now - asked > 0.2:
+            asked = now
+            console.send({"state_command": "disable"})
         if not select.select([0], [], [], 0)[0]:
             continue
         read = os.read(0, 1 << 16)

@@ -15,7 +15,8 @@ from app.control.messages import Command, LoopStats, Telemetry
 from app.devices.remote import transports
 from app.devices.remote.messages import Message
 from app.devices.sockets.dialect import decode, encode
-from app.devices.station import Spec, Station
+from app.devices.spec import Spec
+from app.devices.station import Station
 from app.kinds.links import Address
 from app.scene import scene as scenes
 from app.scene.scene import Scene
@@ -34,6 +35,7 @@ class Wire:
         self.refused: dict[str, int] = {}
         self.clock = clock
         self.sent: list[tuple[str, Any]] = []
+        self.goals: list[np.ndarray] = []
         self.waiting: list[Message] = []
 
     def put(self, content: dict[str, Any]) -> None:
@@ -44,7 +46,10 @@ class Wire:
         return found
 
     def send(self, message: Message, now: float) -> None:
-        self.sent += json.loads(encode(message)).items()
+        for name, value in json.loads(encode(message)).items():
+            self.sent.append((name, value))
+            if name == "servo_jp":
+                self.goals.append(np.array(value["Goal"]))
 
     def close(self) -> None: ...
 
@@ -95,7 +100,7 @@ class Bench:
 
     @property
     def setpoints(self) -> list[np.ndarray]:
-        return [np.array(value["Goal"]) for value in self.arm.named("servo_jp")]
+        return self.arm.goals
 
     @property
     def tool(self) -> pin.SE3:

@@ -35,7 +35,8 @@ from app.control.process import surfaces, wire
 from app.control.process.channel import Channel
 from app.control.process.gaps import Gaps
 from app.control.process.shared import Memory, Queue, Slot
-from app.devices.station import Spec, Station
+from app.devices.spec import Spec
+from app.devices.station import Station
 from app.words import OptionError
 
 log = logging.getLogger("vf-sandbox control")

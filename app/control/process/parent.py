@@ -26,7 +26,7 @@ from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.control.process import surfaces, wire
 from app.control.process.handle import PATIENCE, Child
 from app.control.process.shared import Queue, Slot
-from app.devices.station import Spec
+from app.devices.spec import Spec
 from app.recording.capture import Tape
 from app.refused import Refused
 

@@ -1,1 +1,1 @@
-"""Arms and masters that are elsewhere: what carries their messages, and what may pass the border."""
+"""Arms and masters that are elsewhere: what carries their messages, what passes the border."""

@@ -114,7 +114,10 @@ def test_either_side_may_be_first_vanish_and_come_back(tmp_path: Path) -> None:
 def moving(session: Session) -> None:
     """Wait until set-points go to the arm."""
     before = session.devices.sent if session.devices is not None else 0
-    wait_until(lambda: session.devices is not None and session.devices.sent > before + 50)
+    try:
+        wait_until(lambda: session.devices is not None and session.devices.sent > before + 50)
+    except AssertionError:
+        raise AssertionError(f"nothing moves: {session.devices}") from None
 
 
 FAULTS_OF_THE_ARM = (
@@ -141,7 +144,10 @@ def inject(times: int, tmp_path: Path) -> None:
             for _ in range(times):
                 before = sum(refused().values())
                 who.tell(fault)
-                if fault != "silence":
+                if fault == "silence":
+                    wait_until(lambda: "silent" in session.devices.arm.trouble)
+                    wait_until(lambda: not session.devices.arm.trouble)
+                else:
                     wait_until(lambda b=before: sum(refused().values()) > b)
                 moving(session)
 
@@ -149,7 +155,7 @@ def inject(times: int, tmp_path: Path) -> None:
             make(arm, fault, lambda: session.devices.arm.refused)
         for fault in FAULTS_OF_THE_CONSOLE:
             make(console, fault, lambda: session.devices.master.refused)
-        assert state_of(session) == "ENABLED"
+        wait_until(lambda: state_of(session) == "ENABLED")
         console.quit()
         arm.quit()
         assert session.crossing is None

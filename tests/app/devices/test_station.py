@@ -219,8 +219,8 @@ def test_an_arm_far_off_its_path_is_a_fault_until_it_is_disabled_and_enabled(mak
         bench.follow(moved(bench.tool, dx=1e-3), 3)
         bench.q = bench.q.copy()
         bench.q[1] += -0.12 if bench.q[1] > 0 else 0.12
-        bench.clock.now += 0.05
-        bench.stamp += 0.05
+        bench.clock.now += 0.04
+        bench.stamp += 0.04
         bench.tick()
         bench.tick()
         assert bench.station.machine.state is State.FAULT
