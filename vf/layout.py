@@ -142,11 +142,11 @@ VARIED = 14  # m, or 0: the margin is the same for the whole surface
 TOOL = 15  # 1: it guards the bodies of the instrument beside the tip
 MOVES = 16  # 1: it moves in this tick
 # Of a surface that deforms (else 0), see `vf.tree.shapes`: addresses of the faces of its skeleton
-# (m, 3) int32, of its vertices before and after (n, 3), and of its shifts (k, 6); and numbers that
-# no other shape has: of the shape before, of those between, and of the shape after.
-FACES, BEFORE, AFTER, SHIFTS = 17, 18, 19, 20
-FORM, FORM_BETWEEN, FORM_AFTER = 21, 22, 23
-SEARCH = 24
+# (m, 3) int32, of its vertices (n, 3) and boxes (k, 6) before and after, and of its shifts (k, 6);
+# and numbers that no other shape has: of the shape before, of those between, of the shape after.
+FACES, BEFORE, AFTER, BOXES, BOXES_AFTER, SHIFTS = 17, 18, 19, 20, 21, 22
+FORM, FORM_BETWEEN, FORM_AFTER = 23, 24, 25
+SEARCH = 26
 
 # Numbers of a fixture.
 SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +25,7 @@ from vf.tree.contacts import COMPILED, Contacts
 from vf.tree.forms import Family, Form, fresh_number, read_only
 from vf.tree.nearest import PATIENCE, UNFINISHED, nearest_face_freely
 from vf.tree.pdtree import Tree
-from vf.tree.shapes import fill_corners, refit
+from vf.tree.shapes import fill_boxes, fill_corners
 from vf.tree.winding import Moments, moments, winding_number
 
 _NONE = np.empty(0, dtype=np.int64)
@@ -302,9 +303,9 @@ class _Relative(Surface):
         before, after = self._before.kept, self._after.kept
         rows = self._family.skeleton.faces
         fill_corners(rows, before, after, self._blend, corners, errors)
-        return Tree(self.nodes, read_only(corners), self._family.order, read_only(errors))
-
-    nodes: FloatArray
+        nodes = self._family.nodes.copy()
+        fill_boxes(self._before.boxes, self._after.boxes, self._blend, nodes)
+        return Tree(read_only(nodes), read_only(corners), self._family.order, read_only(errors))
 
 
 class DeformingSurface(_Relative):
@@ -319,8 +320,7 @@ class DeformingSurface(_Relative):
 
     Attributes:
         vertices_after: (n, 3) float64 [m].
-        nodes: of the `pdtree.Tree`, whose boxes hold all shapes from the one to the other.
-        shifts: (k, 6) of `shapes.refit` [m].
+        shifts: (k, 6) of `shapes.fill_shifts` [m].
         forms: numbers that no other shape has: of its shape at blend 0, of those between, and of
             its shape at blend 1, which is the first of the interval that follows.
     """
@@ -330,10 +330,7 @@ class DeformingSurface(_Relative):
         family, before = kin._family, kin._form
         super().__init__(kin, before, family.form(vertices_after))
         self.forms = (before.number, fresh_number(), self._after.number)
-        nodes, shifts = family.nodes(), family.shifts()
-        bones = family.skeleton
-        refit(nodes, bones.starts, bones.fans, before.kept, self._after.kept, shifts)
-        self.nodes, self.shifts = read_only(nodes), read_only(shifts)
+        self.shifts = family.shifts(before, self._after)
         self._shown: tuple[float, Surface] | None = None
 
     @property
@@ -346,12 +343,13 @@ class DeformingSurface(_Relative):
 
     @property
     def searched(self) -> Tree:
-        return Tree(self.nodes, _NO_CORNERS, self._family.order, _NO_CORNERS[:, 0])
+        return Tree(self._family.nodes, _NO_CORNERS, self._family.order, _NO_CORNERS[:, 0])
 
     @property
-    def parts(self) -> tuple[NDArray[np.int32], FloatArray, FloatArray]:
-        """Faces of the skeleton, and the vertices of both shapes in its order."""
-        return self._family.skeleton.faces, self._before.kept, self._after.kept
+    def parts(self) -> tuple[NDArray[Any], ...]:
+        """Faces of the skeleton, the vertices of both shapes in its order, and their boxes."""
+        before, after = self._before, self._after
+        return self._family.skeleton.faces, before.kept, after.kept, before.boxes, after.boxes
 
     def follows(self, other: Surface) -> bool:
         """Whether it is a shape of the same mesh, made by `deforming` from one surface."""
@@ -375,7 +373,6 @@ class _Shape(_Relative):
 
     def __init__(self, whole: DeformingSurface, blend: float) -> None:
         super().__init__(whole, whole._before, whole._after)
-        self.nodes = whole.nodes
         self._blend = blend
 
     @cached_property

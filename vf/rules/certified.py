@@ -49,7 +49,7 @@ from vf.tree.axis import (
     triangle_gap2,
 )
 from vf.tree.pdtree import EXACT, Tree, children_of, triangles_of
-from vf.tree.shapes import RIGID, place_corners
+from vf.tree.shapes import RIGID, place_boxes, place_corners
 
 BUDGET = 64  # planes that a walk may choose; masks have one bit for each
 # On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
@@ -159,8 +159,8 @@ def walk(  # type: ignore[no-untyped-def]
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
-        shape: of a mesh that deforms, see `shapes.place_corners`: corners and slivers are written
-            where the walk comes to them; else `RIGID`.
+        shape: of a mesh that deforms, see `shapes.place_corners`: nodes, corners and slivers are
+            written where the walk comes to them; else `RIGID`.
         margin, highest, own: `margins.Margins` [m]; where they vary, what `margin` is above the
             largest of them is added to all.
         lowered: by how much the margins are lowered from the outset [m].
@@ -200,6 +200,8 @@ def walk(  # type: ignore[no-untyped-def]
     shift = 0.0  # where margins vary: of a triangle, or the largest of a node
     short = 0.0  # by how much it is less than the widest
     # The nearest child of the node just opened is often the next item: it is kept out of the queue.
+    if shape[0] != 0:
+        place_boxes(shape, 0, 1)
     next2 = box_gap2(nodes, 0, ends)
     next_item = 0
     next_mask = 0
@@ -231,6 +233,8 @@ def walk(  # type: ignore[no-untyped-def]
             link = nodes[item, 15]
             if link > 0.0:
                 first, last = children_of(link)
+                if shape[0] != 0:
+                    place_boxes(shape, first, last)
             else:
                 first, last = triangles_of(link)
                 if shape[0] != 0:

@@ -47,7 +47,7 @@ class Block:
         # The kernels hold addresses only: these references keep the arrays alive.
         self._searched = tuple(searches)
         self._parts: dict[int, NDArray[np.generic]] = {}
-        self._scratch: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._scratch: dict[int, tuple[FloatArray, ...]] = {}
         self._deforming: dict[int, DeformingSurface] = {}
         self.n = n
         links = 0 if chain is None else len(chain)
@@ -147,20 +147,17 @@ class Block:
         """Let fixture f have a surface that deforms, from now on; the same mesh as before."""
         row = self.searches[f]
         if row[at.FACES] == 0:
-            # Where the walk writes the triangles that it comes to, in the shape of the tick. All of
-            # the memory is touched here, so that no tick has to wait for it.
-            m = len(surface.faces)
-            scratch = np.full((m, 9), 0.0), np.full(m, 0.0)
+            # Where walks write the boxes and triangles that they come to, in the shape of the tick.
+            # All of the memory is touched here, so that no tick has to wait for it.
+            m, nodes = len(surface.faces), surface.searched.nodes.copy()
+            scratch = np.full((m, 9), 0.0), np.full(m, 0.0), nodes
             self._scratch[f] = scratch
-            row[at.CORNERS], row[at.SLIVERS] = (array.ctypes.data for array in scratch)
-            row[at.TRIANGLES] = m
+            for word, part in zip((at.CORNERS, at.SLIVERS, at.NODES), scratch, strict=True):
+                row[word] = part.ctypes.data
+            row[at.TRIANGLES], row[at.NODE_COUNT] = m, len(nodes)
             self.words[at.DEFORMS] = 1
-        row[at.NODE_COUNT] = len(surface.nodes)
-        faces, before, after = surface.parts
-        for word, array in (
-            (at.NODES, surface.nodes), (at.FACES, faces), (at.BEFORE, before), (at.AFTER, after),
-            (at.SHIFTS, surface.shifts),
-        ):  # fmt: skip
+        words = at.FACES, at.BEFORE, at.AFTER, at.BOXES, at.BOXES_AFTER, at.SHIFTS
+        for word, array in zip(words, (*surface.parts, surface.shifts), strict=True):
             row[word] = array.ctypes.data
         row[at.FORM], row[at.FORM_BETWEEN], row[at.FORM_AFTER] = surface.forms
         self._deforming[f] = surface  # keeps the arrays alive

@@ -117,7 +117,7 @@ def shape_of(search, blend):  # type: ignore[no-untyped-def]
         return RIGID
     return (
         search[at.FACES], search[at.BEFORE], search[at.AFTER], search[at.CORNERS],
-        search[at.SLIVERS], blend,
+        search[at.SLIVERS], search[at.BOXES], search[at.BOXES_AFTER], search[at.NODES], blend,
     )  # fmt: skip
 
 
@@ -126,7 +126,9 @@ def shift_of(search, motion, ends, reach):  # type: ignore[no-untyped-def]
     """`shapes.shift_near` of a surface that deforms in this tick."""
     nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
     shifts = numba.carray(floats_at(search[at.SHIFTS]), (search[at.NODE_COUNT], 6))
-    return shift_near(nodes, shifts, ends, reach, motion[at.BLEND_AFTER] - motion[at.BLEND])
+    shape = shape_of(search, motion[at.BLEND])
+    share = motion[at.BLEND_AFTER] - motion[at.BLEND]
+    return shift_near(nodes, shifts, shape, ends, reach, share)
 
 
 @njit(cache=True)

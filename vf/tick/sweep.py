@@ -20,7 +20,7 @@ from vf.rules.certified import HEAP
 from vf.tick.moving import bend, distance, into, shape_of, shift_of
 from vf.tree.axis import box_gap2, triangle_gap2
 from vf.tree.pdtree import children_of, triangles_of
-from vf.tree.shapes import place_corners
+from vf.tree.shapes import place_boxes, place_corners
 
 # A body on its way is never this close, as a share of the standoff.
 CLEAR = 0.1
@@ -219,6 +219,8 @@ def gap(nodes, corners, slivers, shape, axis, limit, queue):  # type: ignore[no-
     """Distance of an axis (2, 3) to the mesh [m], or a little less; `limit` if it is farther."""
     ends = (axis[0, 0], axis[0, 1], axis[0, 2], axis[1, 0], axis[1, 1], axis[1, 2])
     best = limit * limit
+    if shape[0] != 0:
+        place_boxes(shape, 0, 1)
     queue[0, 0] = 0.0
     size = 1
     while size > 0:
@@ -229,6 +231,8 @@ def gap(nodes, corners, slivers, shape, axis, limit, queue):  # type: ignore[no-
         link = nodes[node, 15]
         if link > 0.0:
             first, last = children_of(link)
+            if shape[0] != 0:
+                place_boxes(shape, first, last)
             if size + last - first >= HEAP:
                 return 0.0
             for child in range(first, last):

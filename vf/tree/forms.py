@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from vf.planes import LARGEST, FloatArray, IntArray
 from vf.tree.pdtree import Tree
-from vf.tree.shapes import skeleton, take
+from vf.tree.shapes import fill_shifts, refit, skeleton, take
 
 MOST_KEPT = 4  # arrays of a kind that are taken again
 
@@ -27,13 +27,15 @@ class Form:
 
     Attributes:
         kept: (n, 3) vertices in the order of the skeleton, read-only [m].
+        boxes: (k, 6) of the nodes, read-only, see `shapes.refit` [m].
         largest: magnitude of a coordinate that a face uses [m].
         together: whether vertices that are at one place in the first shape are in this one.
         number: its own.
     """
 
-    def __init__(self, kept: FloatArray, largest: float, together: bool) -> None:
+    def __init__(self, kept: FloatArray, boxes: FloatArray, largest: float, together: bool) -> None:
         self.kept = read_only(kept)
+        self.boxes = read_only(boxes)
         self.largest = largest
         self.together = together
         self.number = fresh_number()
@@ -44,7 +46,7 @@ class Family:
 
     Attributes:
         skeleton: see `shapes.Skeleton`.
-        order: of the tree.
+        order, nodes: of the tree of the first shape.
         rest: the first shape.
     """
 
@@ -53,10 +55,9 @@ class Family:
     ) -> None:
         """Of a mesh in its first shape, where vertices `doubles` are at the places of `firsts`."""
         self.skeleton = skeleton(tree, faces, len(vertices))
-        self.order = tree.order
-        self._first_nodes = tree.nodes
+        self.order, self.nodes = tree.order, tree.nodes
         self._doubles, self._firsts = doubles, firsts
-        self._vertices, self._nodes, self._shifts = _Memory(), _Memory(), _Memory()
+        self._vertices, self._boxes, self._shifts = _Memory(), _Memory(), _Memory()
         self.rest = self.form(vertices)
 
     def form(self, vertices: ArrayLike) -> Form:
@@ -75,7 +76,7 @@ class Family:
                 f"the vertices of a shape must be as many as before, ({len(order)}, 3), got"
                 f" {v.shape}"
             )
-        kept = self._vertices.array(v.shape)[0]
+        kept = self._vertices.array(v.shape)
         largest, bad = take(v, order, used, kept)
         if bad >= 0:
             if not np.isfinite(v[bad]).all():
@@ -85,18 +86,16 @@ class Family:
                 f" {v[bad]}"
             )
         together = bool((v[self._doubles] == v[self._firsts]).all())
-        return Form(kept, largest, together)
+        boxes = self._boxes.array((len(self.nodes), 6))
+        refit(self.nodes, self.skeleton.starts, self.skeleton.fans, kept, boxes)
+        return Form(kept, boxes, largest, together)
 
-    def nodes(self) -> FloatArray:
-        """Nodes (k, 16) of the tree to fit boxes in: axes and links are right."""
-        nodes, fresh = self._nodes.array(self._first_nodes.shape)
-        if fresh:
-            nodes[:] = self._first_nodes
-        return nodes
-
-    def shifts(self) -> FloatArray:
-        """Memory for shifts (k, 6)."""
-        return self._shifts.array((len(self._first_nodes), 6))[0]
+    def shifts(self, before: Form, after: Form) -> FloatArray:
+        """(k, 6) how far what the nodes hold moves, read-only, see `shapes.fill_shifts` [m]."""
+        shifts = self._shifts.array((len(self.nodes), 6))
+        bones = self.skeleton
+        fill_shifts(self.nodes, bones.starts, bones.fans, before.kept, after.kept, shifts)
+        return read_only(shifts)
 
 
 class _Memory:
@@ -108,8 +107,8 @@ class _Memory:
     def __init__(self) -> None:
         self._arrays: list[FloatArray] = []
 
-    def array(self, shape: tuple[int, ...]) -> tuple[FloatArray, bool]:
-        """An array, and whether it is fresh and not one that was used before.
+    def array(self, shape: tuple[int, ...]) -> FloatArray:
+        """An array of that shape, which is the same at every call.
 
         What is given out is a view, and so are views of that: each refers to its base. An array
         that is looked at here is out of the list, so that no two threads look at the same.
@@ -123,12 +122,12 @@ class _Memory:
             view = array[:]
             self._arrays.append(array)
             if alone:
-                return view, False
+                return view
         array = np.empty(shape)
         view = array[:]
         if len(self._arrays) < MOST_KEPT:
             self._arrays.append(array)
-        return view, True
+        return view
 
 
 def _alone() -> int:

@@ -15,6 +15,7 @@ import vf
 from tests.support import deforming, moving, naive
 from tests.support.ticks import UM, plate, pose
 from vf import Status
+from vf.tick.moving import shape_of
 from vf.tree.shapes import shift_near
 
 STANDOFF = 20 * UM
@@ -32,6 +33,16 @@ def over(surface: vf.Surface, arm: str = "point", **options: float) -> vf.Contro
 
 def corners(surface: vf.Surface, vertices: np.ndarray | None = None) -> np.ndarray:
     return (surface.vertices if vertices is None else vertices)[surface.faces]
+
+
+def near(
+    surface: vf.DeformingSurface, x: np.ndarray, radius: float, start: float, share: float
+) -> tuple[float, ...]:
+    """What `shift_near` says of a point (3,)."""
+    controller = over(surface)
+    search = controller._block.searches[0]
+    shape, nodes = shape_of(search, start), controller._block._scratch[0][2]
+    return shift_near(nodes, surface.shifts, shape, tuple(map(float, x)), radius, share)
 
 
 def blended(surface: vf.DeformingSurface, blend: float) -> np.ndarray:
@@ -208,10 +219,9 @@ def test_a_part_that_beats_far_away_does_not_enlarge_the_ball_of_a_still_one() -
     beating = surface.vertices.copy()
     beating[surface.vertices[:, 0] > 0.03] += [0.0, 0.0, 2e-3]
     body = surface.deforming(beating)
-    tree = body.searched
-    near = shift_near(tree.nodes, body.shifts, (-0.03, 0.0, 1e-3), 5e-3, 1.0)
-    assert max(near) < 1e-12
-    there = shift_near(tree.nodes, body.shifts, (0.045, 0.0, 1e-3), 5e-3, 1.0)
+    here = near(body, np.array([-0.03, 0.0, 1e-3]), 5e-3, 0.0, 1.0)
+    assert max(here) < 1e-12
+    there = near(body, np.array([0.045, 0.0, 1e-3]), 5e-3, 0.0, 1.0)
     assert there[0] == pytest.approx(2e-3, abs=1e-9)
     controller, q = over(body), np.array([-0.03, 0.0, 30e-6])
     step = controller.step(q, pose(q), motions=[vf.Motion(HERE, HERE, blend=(0.0, 1.0))])
@@ -228,11 +238,10 @@ def test_what_is_near_is_bounded() -> None:
     for _ in range(60):
         body = surface.deforming(surface.vertices + bumped(rng, surface.vertices, 1e-3))
         share = rng.uniform(-1.0, 1.0)
-        start = (0.0 if share > 0.0 else 1.0) * (1.0 - abs(share))
         start = rng.uniform(0.0, 1.0 - share) if share > 0.0 else rng.uniform(-share, 1.0)
         x = naive.unit(rng) * rng.uniform(0.009, 0.02)
         radius = 10 ** rng.uniform(-4, -2)
-        far, *rest = shift_near(body.nodes, body.shifts, tuple(x), radius, share)
+        far, *rest = near(body, x, radius, start, share)
         middle, wide = np.array(rest[:3]), np.array(rest[3:])
         ways = share * (body.vertices_after - body.vertices)
         moved = ways[body.faces]
@@ -281,20 +290,21 @@ def test_boxes_hold_both_shapes_and_all_between() -> None:
 def test_memory_is_taken_again_only_when_nobody_looks_at_it() -> None:
     surface = ball(0.01, 3)
     held = surface.deforming(1.1 * surface.vertices)
-    nodes, vertices = held.nodes.copy(), held.vertices_after.copy()
+    parts, vertices = [part.copy() for part in held.parts], held.vertices_after.copy()
     places = set()
     body = held
     for k in range(20):
         body = body.deforming((1.0 + 0.01 * k) * surface.vertices)
-        places.add(body.nodes.ctypes.data)
+        places.add(body.parts[-1].ctypes.data)
     assert len(places) <= 3
-    assert (held.nodes == nodes).all()
+    for part, kept in zip(held.parts, parts, strict=True):
+        assert (part == kept).all()
     assert (held.shape(1.0).vertices == vertices).all()
-    part = held.nodes[3:5]
+    part = held.parts[-1][3:5]
     del held
-    body = body.deforming(surface.vertices)
-    assert part.base is not None
-    assert not np.shares_memory(part, body.nodes)
+    for _ in range(5):
+        body = body.deforming(surface.vertices)
+        assert not np.shares_memory(part, body.parts[-1])
 
 
 def test_vertices_of_no_use_are_refused_by_name() -> None:
