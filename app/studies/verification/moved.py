@@ -21,7 +21,7 @@ from meshes.builtin.shapes import Arrays
 
 PERIODS = (1e-3, 5e-3, 0.02)  # of the control loop, in turn [s]
 COLUMNS = (
-    "ticks", "starts", "crossed", "by which part", "overtaken", "met then", "too deep", "held",
+    "ticks", "starts", "crossed", "by which part", "overtaken", "met apart", "too deep", "held",
     "shortened", "recovering", "inside", "planes", "tick µs",
 )  # fmt: skip
 

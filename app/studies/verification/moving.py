@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import robots
 import vf
 from app.judges import boxes, depth, passing
+from app.judges.nearest import nearest
 from app.motion.declared import Tracker
 from app.motion.movement import Movement
 from app.studies.verification import hands, swelling, wander
@@ -25,6 +26,7 @@ FloatArray = NDArray[np.float64]
 
 MOTIONS = ("rigid", "deforming", "both")
 DEPTH_TOLERANCE = 1e-9  # for rounding [m]
+KEPT = 1e-6  # by which a margin may be missed and counts as kept [m]
 
 
 @dataclass
@@ -32,7 +34,9 @@ class Passed(Pushed):
     """Result of `drive`.
 
     Attributes:
-        met: overtaken ticks in which something was met.
+        met: ticks in which something was met and that are counted apart: overtaken ones, and with a
+            tracker those before or after which the tool did not have its margin from the mesh as
+            believed.
         too_deep: those of them after which it was deeper than `Step.violation`.
         deepest: the largest violation of such a tick [m].
         first_deep: a description of the first that was too deep.
@@ -170,7 +174,8 @@ def _episode(
                 f"tick {result.ticks}, {step.status.name}: {', '.join(names)} from {q.tolist()} "
                 f"to {moved.tolist()}"
             )
-            if step.status is not vf.Status.OVERTAKEN:
+            kept = movement is None or motion is None or _kept(judge, scene, motion, q, moved)
+            if step.status is not vf.Status.OVERTAKEN and kept:
                 result.crossings += 1
                 result.parts.update(set(names))
                 result.first = result.first or where
@@ -225,6 +230,25 @@ class _Present:
     def nearest(self, x: FloatArray) -> tuple[float, int, FloatArray]:
         found: tuple[float, int, FloatArray] = self._scene.surface.nearest(x)
         return found
+
+
+def _kept(
+    judge: passing.Judge, scene: Scene, motion: vf.Motion, q: FloatArray, moved: FloatArray
+) -> bool:
+    """Whether every part had its margin from where the mesh is believed, before and after a tick.
+
+    If it had, and the bound is true, nothing can be met. It has not where the arm cannot get away
+    as fast as the margin grows: a shaft at the remote centre, joints at their limits.
+    """
+    for pose, joints, margin in (
+        (motion.start, q, motion.margin - motion.growth), (motion.end, moved, motion.margin),
+    ):  # fmt: skip
+        axes = (judge.axes(joints) - pose.translation) @ pose.rotation
+        for k in judge.chosen:
+            reach = float(judge.radii[k]) + margin - KEPT
+            if nearest(scene.mesh.boxes, axes[k], reach)[0] < reach:
+                return False
+    return True
 
 
 class _Seen:

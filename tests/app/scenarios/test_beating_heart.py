@@ -73,10 +73,11 @@ def test_the_beating_heart_is_ridden_on_and_never_touched(rate: float) -> None:
         corners = run.corners(telemetry.phase)
         axes = run.scene.arm.axes(telemetry.q)
         for capsule, (a, b) in zip(run.scene.arm.capsules, axes, strict=True):
-            near = np.linalg.norm(corners[:, 0] - 0.5 * (a + b), axis=1)
-            reach = 0.5 * np.linalg.norm(b - a) + 0.02
-            if (near < reach).any():
-                parts.append(axis_gap(corners[near < reach], a, b) - capsule.radius)
+            share = np.clip((corners[:, 0] - a) @ (b - a) / max((b - a) @ (b - a), 1e-300), 0, 1)
+            away = np.linalg.norm(corners[:, 0] - a - share[:, None] * (b - a), axis=1)
+            near = away < capsule.radius + 0.008
+            if near.any():
+                parts.append(axis_gap(corners[near], a, b) - capsule.radius)
     assert min(gaps) > 15e-6
     assert min(parts) > 0.0
     # It leans on the heart for most of the time between, and the wall below it goes far.
