@@ -1,8 +1,8 @@
 """`bench structures`: a tick over many structures, in reach and out of it, beside one large mesh.
 
-The same closed loop as `bench runtime`, with the certified rule. The structures in reach are copies
-of one surface, each a little below the one before: all are within the motion sphere where one is.
-Those out of reach are the same a metre away.
+The same closed loop as `bench runtime`, with the certified rule. The structures are copies of one
+surface, each below the one before: by so little that all are within the motion sphere where one is,
+or by a millimetre, so that some are. Those out of reach are the same a metre away.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ __all__ = ["run", "show"]
 
 Say = Callable[[str], None]
 
-APART = 50e-6  # of two structures in reach [m]
+APART = 50e-6  # of two structures that are all in reach [m]
+SPREAD = 1e-3  # of two of which some are [m]
 AWAY = 1.0  # of those out of reach [m]
-LARGE, ONE, REACHED, BEYOND = "one large mesh", "one structure", "all in reach", "one in reach"
+LARGE, ONE, BEYOND = "one large mesh", "one structure", "one in reach"
+SOME, REACHED = "1 mm apart, some in reach", "50 µm apart, all in reach"
 
 
 def run(options: Structures, say: Say, advance: Callable[[float], None]) -> dict[str, Any]:
@@ -58,16 +60,21 @@ def run(options: Structures, say: Say, advance: Callable[[float], None]) -> dict
     small, faces = rungs[options.size]
     large = vf.Surface.from_arrays(rungs[options.large][0] + shift, rungs[options.large][1])
     first = vf.Surface.from_arrays(small + shift, faces)
-    lower = [
-        vf.Surface.from_arrays(small + shift - [0.0, 0.0, APART * k], faces)
-        for k in range(1, options.count)
-    ]
-    away = [
-        vf.Surface.from_arrays(small + shift + [AWAY, 0.0, APART * k], faces)
-        for k in range(1, options.count)
-    ]
+
+    def further(x: float, apart: float) -> list[vf.Surface]:
+        return [
+            vf.Surface.from_arrays(small + shift + [x, 0.0, -apart * k], faces)
+            for k in range(1, options.count)
+        ]
+
     route = routes.plan(first, arm)
-    scenes = {LARGE: [large], ONE: [first], REACHED: [first, *lower], BEYOND: [first, *away]}
+    scenes = {
+        LARGE: [large],
+        ONE: [first],
+        BEYOND: [first, *further(AWAY, APART)],
+        SOME: [first, *further(0.0, SPREAD)],
+        REACHED: [first, *further(0.0, APART)],
+    }
     cells = {}
     for name, surfaces in scenes.items():
         fixtures = [vf.MeshFixture(one, "certified", options.radius) for one in surfaces]
@@ -107,7 +114,7 @@ def run(options: Structures, say: Say, advance: Callable[[float], None]) -> dict
         "options": asdict(options),
         "rows": rows,
         "ratio to the large mesh": {
-            name: medians[name] / medians[LARGE] for name in (ONE, REACHED, BEYOND)
+            name: medians[name] / medians[LARGE] for name in (ONE, BEYOND, SOME, REACHED)
         },
         "of each out of reach [us]": 1e6 * (medians[BEYOND] - medians[ONE])
         / max(options.count - 1, 1),
