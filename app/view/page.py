@@ -26,9 +26,10 @@ from app.view.clients.escape import EscapeKey
 from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
+from app.view.controls.devices import DeviceLamps
 from app.view.controls.keys import Keys
 from app.view.controls.motion import MotionControl
-from app.view.controls.panel import BANNER, CLIENTS, RESTART, Panel
+from app.view.controls.panel import BANNER, CLIENTS, DEVICES, RESTART, Panel
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
@@ -157,6 +158,7 @@ class Page:
             self._client_lines,
             left,
             Restart(server, session, self._input, RESTART),
+            DeviceLamps(server, session, self._input, DEVICES),
             panel,
             ScenarioChoice(context),
             Signals(context),
