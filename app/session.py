@@ -50,6 +50,7 @@ class Session(Driving):
         options: the `Options` in force.
         master: the operator's input device; it is moved by the operator's orders.
         work: the long operation in progress, such as a `change`, if there is one.
+        spec: masters and arms that are elsewhere; None: there are none.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ class Session(Driving):
             lock_orientation=options.lock_orientation,
         )
         self._watch = Watch()
-        self._spec = spec = Spec.of(options)
+        self.spec = spec = Spec.of(options)
         self._loop: Host
         if child is None:
             self._writer = OrderWriter(orders)
@@ -178,7 +179,7 @@ class Session(Driving):
         Raises:
             Refused: a recording is under way, or the file cannot be made.
         """
-        if self._spec is not None:
+        if self.spec is not None:
             raise Refused(
                 "a session with masters or arms that are elsewhere is not recorded: it could not "
                 "be repeated from its orders"
@@ -353,8 +354,8 @@ class Session(Driving):
             named = {"mesh": mesh, "unit": unit, "robot": robot}
             wanted |= {name: value for name, value in named.items() if value is not None} | more
             options = replace(self.options, **wanted)
-            if self._spec is not None and options.robot != self._spec.robot:
-                raise Refused(f"the arm that is elsewhere is a {self._spec.robot}")
+            if self.spec is not None and options.robot != self.spec.robot:
+                raise Refused(f"the arm that is elsewhere is a {self.spec.robot}")
             stays = options.robot == self.scene.robot
             arm = self.scene.arm.copy() if stays else robots.load(options.robot)
             new = worker.build(options, self.scene.version + 1, arm, progress, stop)
@@ -379,6 +380,6 @@ class Session(Driving):
         self._watch.take(orders, telemetry, ticked)
         if telemetry.step is not None:
             self.master.feel(telemetry.step.force)
-            if self._spec is not None and self._spec.master != "page":
+            if self.spec is not None and self.spec.master != "page":
                 # The handle is drawn where the other master wants the tool.
                 self.master.handle = telemetry.target or telemetry.step.tip

@@ -29,7 +29,7 @@ COMMANDS = {
     "guard": "Guard a real arm: between a master and an arm that are elsewhere, over sockets.",
     "mesh": "Meshes: list the catalogue, check a file, repair it, make one from a volume.",
     "replay": "Repeat a recorded session without page and clock, compare it bit for bit, write it "
-    "as CSV.",
+    "as CSV or MCAP.",
     "study": "Many simulated trials over a grid of operators, skulls, rules and noise, on Dask.",
     "verify": "Attack the fixtures with adversarial hands and judge every step by an independent "
     "oracle.",

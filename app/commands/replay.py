@@ -41,6 +41,11 @@ class Replay(Checked):
         Maybe(Path()), None,
         "Write the recorded ticks to this file, a line each, units in the heading.",
     )  # fmt: skip
+    mcap: pathlib.Path | None = option(
+        Maybe(Path()), None,
+        "Write the recorded ticks to this file as MCAP with messages of ROS 2, for Foxglove and "
+        "rosbag2 (extra: mcap).",
+    )  # fmt: skip
     mesh: str | None = option(
         Maybe(File()), None,
         "Where the mesh is now, if it was a file that has moved; it must be the very same mesh.",
@@ -58,12 +63,17 @@ def run(options: Replay) -> int:
     for line in summary(recording):
         console.print(escape(line))
     if options.csv is not None:
-        from app.recording import export
+        from app.recording.export import table
 
-        export.write(recording, options.csv)
+        table.write(recording, options.csv)
         console.print(escape(f"written: {options.csv}, {count(len(recording.rows), 'line')}"))
-        if not options.check:
-            return SAME
+    if options.mcap is not None:
+        from app.recording.export import bag
+
+        messages = bag.write(recording, options.mcap)
+        console.print(escape(f"written: {options.mcap}, {count(messages, 'message')}"))
+    if (options.csv or options.mcap) and not options.check:
+        return SAME
     began = time.perf_counter()
     difference = None
     done = 0
@@ -125,3 +135,4 @@ def summary(recording: Recording) -> list[str]:
 
 
 KINDS = {"": (Replay, run)}
+MISSING = "pip install 'vf-sandbox[mcap]'"

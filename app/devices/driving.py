@@ -34,7 +34,7 @@ class Driving(ABC):
     master: PageMaster
     _writer: OrderWriter
     _loop: Host
-    _spec: Spec | None
+    spec: Spec | None
 
     @abstractmethod
     def latest(self) -> Telemetry:
@@ -201,7 +201,7 @@ class Driving(ABC):
         Raises:
             Refused: there is no arm but the sandbox's own.
         """
-        if self._spec is None:
+        if self.spec is None:
             raise Refused("the sandbox's own arm is always enabled")
         with self._writer.exclusive():
             self.master.place(self._tool())

@@ -86,13 +86,13 @@ class Station:
         self._T_tip_cp = pin.SE3(np.eye(3), np.array([0.0, 0.0, -beyond]))
         if at_arm.networked:
             self.arm = self._remote = RemoteArm(
-                transports.open(at_arm), at_arm, model, spec.horizon, spec.dt
+                transports.open(at_arm, "arm"), at_arm, model, spec.horizon, spec.dt
             )
         if at_master.networked:
             try:
                 self._master = RemoteMaster(
-                    transports.open(at_master), at_master, model, self._T_tip_cp.inverse(),
-                    move_time,
+                    transports.open(at_master, "master"), at_master, model,
+                    self._T_tip_cp.inverse(), move_time,
                 )  # fmt: skip
             except BaseException:
                 self.close()

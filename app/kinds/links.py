@@ -13,9 +13,13 @@ from app.words import OptionError
 
 _TIME = re.compile(r"\s*([-+0-9.eE]+)\s*(ms|s|µs|us)\s*")
 _FACTOR = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
-SCHEMES = {"arm": ("sim", "socket"), "master": ("page", "sim", "socket")}
+SCHEMES = {
+    "arm": ("sim", "socket", "ros", "python"),
+    "master": ("page", "sim", "socket", "ros", "python"),
+}
 """By role: the kinds of devices there are."""
-NETWORKED = ("socket",)
+NETWORKED = ("socket", "ros", "python")
+_SHAPES = {"socket": "socket://HOST:PORT", "ros": "ros:/NAMESPACE", "python": "python:FILE:CLASS"}
 
 
 def parse_time(text: str) -> float:
@@ -153,10 +157,15 @@ def parse_address(role: str, text: str, link: Link | None = None) -> Address:
     if parts.scheme not in known or parts.scheme not in NETWORKED:
         raise OptionError(
             f"{role} {shown(text)} is no device: choose one of "
-            + ", ".join(f"{one}://HOST:PORT" if one in NETWORKED else one for one in known)
+            + ", ".join(_SHAPES.get(one, one) for one in known)
         )
-    if not parts.hostname or port is None:
-        raise OptionError(f"{role} {shown(text)}: write {parts.scheme}://HOST:PORT")
+    complete = {
+        "socket": bool(parts.hostname) and port is not None,
+        "ros": re.fullmatch(r"(/[A-Za-z_]\w*)+", parts.path) is not None and not parts.netloc,
+        "python": re.fullmatch(r".+:[A-Za-z_]\w*", parts.path) is not None,
+    }
+    if not complete[parts.scheme]:
+        raise OptionError(f"{role} {shown(text)}: write {_SHAPES[parts.scheme]}")
     values: dict[str, Any] = {}
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         values[key] = _read(role, key, value)
@@ -164,9 +173,9 @@ def parse_address(role: str, text: str, link: Link | None = None) -> Address:
     fallback = link or Link()
     return Address(
         parts.scheme,
-        parts.hostname,
-        port,
-        parts.path.strip("/"),
+        parts.hostname or "",
+        port or 0,
+        parts.path if parts.scheme == "python" else parts.path.strip("/"),
         listen=values.pop("listen", role == "arm"),
         link=Link(**{"delay": fallback.delay, "jitter": fallback.jitter, "loss": fallback.loss}
                   | given),

@@ -27,11 +27,12 @@ from app.view.clients.grab import Grab
 from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
+from app.view.controls.devices import DeviceLamps
 from app.view.controls.feel import Feel
 from app.view.controls.keys import Keys
 from app.view.controls.margins import MarginLegend
 from app.view.controls.motion import MotionControl
-from app.view.controls.panel import BANNER, CLIENTS, MARGINS, RESTART, Panel
+from app.view.controls.panel import BANNER, CLIENTS, DEVICES, MARGINS, RESTART, Panel
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
@@ -163,6 +164,7 @@ class Page:
             left,
             MarginLegend(server, self._anatomy, MARGINS),
             Restart(server, session, self._input, RESTART),
+            DeviceLamps(server, session, self._input, DEVICES),
             panel,
             ScenarioChoice(context),
             Signals(context),

@@ -72,7 +72,7 @@ class Bench:
         self.clock = Clock()
         self.wires: dict[int, Wire] = {}
 
-        def opened(address: Address) -> Wire:
+        def opened(address: Address, role: str) -> Wire:
             return self.wires.setdefault(address.port, Wire(self.clock))
 
         monkeypatch.setattr(transports, "open", opened)

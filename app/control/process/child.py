@@ -193,6 +193,8 @@ class Child:
         if loop is None or not loop.alive:
             return ""
         self._inbox.hold()
+        if self._station is not None:
+            self._station.order("disable")
         log.warning(
             "the page's process ended: the tool holds where it is; nobody can give orders any "
             "more, so the simulated arm is let go of in %g s",

@@ -13,6 +13,7 @@ import select
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import vf
@@ -185,6 +186,9 @@ class ControlProcess(Host):
         except OSError as error:
             raise Refused(f"the control process cannot be started: {error}") from None
         self.ended = ""
+        if self._spec is not None and self._spec.arm != "sim":
+            # An arm that is elsewhere is enabled by a person, after an accident too.
+            self._spec = replace(self._spec, enable=False)
         self._hand_over(self._plants, orders.plant)
         self._thread = threading.Thread(target=self._run, name="control link", daemon=True)
         self._begin(state)

@@ -213,6 +213,8 @@ class RemoteMaster:
     def _goal(self, message: Message, tick: Tick, now: float, asked: Asked) -> None:
         """Take a goal of the tool, or refuse it."""
         kind, space = GOALS[message.name]
+        if message.stamp == 0.0:  # of a command: none
+            message.stamp = None
         streams = kind != "move"
         if not streams:
             (self._goals if space == "cp" else self._joints).forget()

@@ -121,9 +121,14 @@ def test_addresses_are_read_or_refused_with_the_reason() -> None:
     assert (console.listen, console.link.delay) == (False, 0.08)
     assert parse_address("master", "socket://localhost:9?listen").listen
     assert parse_address("arm", "sim").networked is False
+    assert parse_address("arm", "ros:/cart/PSM1").path == "cart/PSM1"
+    assert parse_address("arm", "python:/a/robot.py:Mine?age=1s").path == "/a/robot.py:Mine"
     for role, text, words in (
-        ("arm", "serial://x:1", "choose one of sim, socket://HOST:PORT"),
+        ("arm", "serial://x:1", "choose one of sim, socket://HOST:PORT, ros:/NAMESPACE"),
         ("arm", "page", "choose one of"),
+        ("arm", "ros:/", "write ros:/NAMESPACE"),
+        ("arm", "ros://host/PSM1", "write ros:/NAMESPACE"),
+        ("arm", "python:robot.py", "write python:FILE:CLASS"),
         ("arm", "socket://host", "write socket://HOST:PORT"),
         ("arm", "socket://host:70000", "Port out of range"),
         ("arm", "socket://h:1?speed=3", "unknown part 'speed'"),

@@ -19,7 +19,8 @@ import meshes
 from app.commands import call
 from app.control.engine import Engine, Orders
 from app.control.messages import Command, LoopStats
-from app.recording import export, playback, rerun
+from app.recording import playback, rerun
+from app.recording.export import table
 from app.recording.format import COMPARED, RecordingError
 from app.recording.read import read
 from app.recording.write import Recorder
@@ -163,7 +164,7 @@ def test_csv_has_a_line_a_tick_and_its_units(sound: Path, tmp_path: Path) -> Non
     assert lines[0]["proxy x [m]"] == ""  # there was no target yet
     assert lines[30]["rule"] == "certified"
     with pytest.raises(RecordingError, match="exists already"):
-        export.write(recording, out)
+        table.write(recording, out)
 
 
 def test_a_mesh_that_has_changed_is_refused(sound: Path) -> None:

@@ -1,0 +1,1 @@
+"""Exports of recordings for other programs: `table` as CSV, `bag` as MCAP."""
