@@ -19,7 +19,8 @@ from app.devices.simulated import SimulatedArm
 from app.motion.course import Course
 from app.motion.movement import Guarded, Movement
 from app.motion.refits import Guide
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 from robots import Arm
 
 log = logging.getLogger(__name__)

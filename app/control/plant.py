@@ -12,7 +12,8 @@ import vf
 from app.control.autopilot import Script
 from app.control.engine import Plant, guarded
 from app.motion.course import Course
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 from robots import Arm
 
 FloatArray = NDArray[np.float64]

@@ -46,7 +46,8 @@ from app.recording.format import (
     chained,
 )
 from app.recording.rows import fill
-from app.settings import Options, split
+from app.settings import Options
+from app.structure import split
 
 MAX_PART_PLANTS = 64  # a plant with a course is large
 NAMES = 1000  # number of file names that are tried

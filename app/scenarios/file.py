@@ -27,7 +27,8 @@ from app.scenarios.values import (
     shown,
     taken,
 )
-from app.settings import Options, split
+from app.settings import Options
+from app.structure import split
 
 FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand

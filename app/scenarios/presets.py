@@ -11,7 +11,8 @@ from types import MappingProxyType
 from app.motion.declared import Motion, Tracker
 from app.scenarios.file import Scenario, ScenarioError, Waypoint, read
 from app.scenarios.values import Viewpoint
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 
 
 def find(name_or_path: str) -> Scenario:

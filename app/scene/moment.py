@@ -15,7 +15,8 @@ from app.control.watch import Crossing
 from app.motion.movement import Movement
 from app.motion.tracking import Belief
 from app.scene.scene import Scene
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 
 FloatArray = NDArray[np.float64]
 

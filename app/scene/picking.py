@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import meshes
 import vf
-from app.settings import Structure
+from app.structure import Structure
 
 FloatArray = NDArray[np.float64]
 

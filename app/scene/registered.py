@@ -12,7 +12,8 @@ import meshes
 import vf
 from app.kinds import Points, bare
 from app.options import declared
-from app.settings import Options, Registration, Structure
+from app.settings import Options
+from app.structure import Registration, Structure
 
 FIDUCIALS = bare(declared(Registration)["fiducials"].kind)
 MOST = bare(declared(Structure)["margin"].kind).high  # type: ignore[attr-defined]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.settings import Structure
+from app.structure import Structure
 
 Rgb = tuple[int, int, int]
 

@@ -20,7 +20,8 @@ from app.scenarios.file import Scenario, dumps, loads
 from app.scene import scene as scenes
 from app.scene import structures
 from app.session import Session
-from app.settings import DECLARED, Options, Registration, Structure
+from app.settings import DECLARED, Options
+from app.structure import Registration, Structure
 from app.words import OptionError
 from tests.support import structured
 from tests.support.headless import wait_until

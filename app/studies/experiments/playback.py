@@ -12,7 +12,8 @@ import meshes
 from app.scene.outside import shows_fronts_only
 from app.scene.registered import ranges
 from app.scene.scene import Scene
-from app.settings import Options, Registration
+from app.settings import Options
+from app.structure import Registration
 from app.studies.experiments import protocol, site
 from app.studies.experiments.protocol import Recorded, Trial
 

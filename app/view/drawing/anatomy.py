@@ -15,7 +15,7 @@ import vf
 from app.judges.meeting import sees
 from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
 from app.view.drawing.heat.bands import Scale
 from app.view.drawing.heat.layer import Heat

@@ -21,7 +21,7 @@ from app.scene.library import Kept
 from app.scene.measure import measure
 from app.scene.moment import Moment
 from app.scene.scene import Scene
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
 from app.view.clients.uploads import Receiver
 from app.view.context import PageContext

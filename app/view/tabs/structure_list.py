@@ -13,7 +13,7 @@ from app.kinds import Length, bare
 from app.options import declared
 from app.scene.moment import Moment
 from app.scene.scene import Scene
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
 from app.view.context import PageContext
 from app.view.controls.fields import NumberField, bind, obey, show

@@ -17,7 +17,7 @@ from app.control.messages import LoopStats, Telemetry
 from app.scene import scene as scenes
 from app.scene.moment import Moment, Places
 from app.scene.picking import margin_near
-from app.settings import Registration
+from app.structure import Registration
 from app.view.controls.margins import MarginLegend
 from app.view.drawing.anatomy import Anatomy
 from app.view.drawing.heat.bands import MOST, bands, legend, ramp, scale

@@ -17,7 +17,7 @@ from app.judges.nearest import gaps
 from app.recording.playback import Moment
 from app.scene.picking import main_structure
 from app.session import Session
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
 from app.view.drawing import anatomy, fixture
 from app.view.drawing.labels import Labels

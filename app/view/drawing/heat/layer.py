@@ -11,7 +11,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.scene.scene import Scene
-from app.settings import Structure
+from app.structure import Structure
 from app.view.drawing.heat.bands import Scale, bands, scale
 from app.view.drawing.nodes import place
 from app.view.units import to_buffer
