@@ -314,6 +314,22 @@ def farthest(J, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def widest(J, reach):  # type: ignore[no-untyped-def]
+    """Bound on J dq [m] while every joint goes no farther than its reach (n,).
+
+    |Σ ±w_j|² is at most Σ |w_i·w_j|, with w_j the columns times the reach. For columns at right
+    angles to each other, as of the first three joints of a PSM, that is their diagonal and not,
+    as `farthest` has it, the sum of their lengths.
+    """
+    square = 0.0
+    for i in range(reach.shape[0]):
+        for j in range(i + 1):
+            dot = abs(J[0, i] * J[0, j] + J[1, i] * J[1, j] + J[2, i] * J[2, j])
+            square += (1.0 if i == j else 2.0) * reach[i] * reach[j] * dot
+    return np.sqrt(square)
+
+
+@njit(cache=True)
 def obeys(planes, m, places, trials, bulges, guards):  # type: ignore[no-untyped-def]
     """Whether steps from `places` to `trials` (p, 3), and their paths, keep to ball and planes.
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import bytes_at, floats_at, integers_at, njit
-from vf.qp.problem import farthest, height, sagitta
-from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
+from vf.qp.problem import farthest, height, sagitta, widest
+from vf.rules.certified import AXIS_EASE, CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
 from vf.tick.moving import bend, form, into, more_reach, put, shape_of, shift, shift_of
-from vf.tree.axis import lowest
+from vf.tree.axis import lowest, out_of_reach
 
 
 @njit(cache=True)
@@ -179,6 +179,7 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
     sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     standoff = numbers[at.STANDOFF]
+    ease = EASE if len(ends) == 3 else AXIS_EASE
     lowered = 0.0
     while True:
         m = start
@@ -216,12 +217,17 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                         far, dx, dy, dz, wx, wy, wz = shift_of(search, motions[f], here, wide)
                         _note_most(motions[f], far, wx, wy, wz)
                         more += far
+                wide = radius + more + thickness + margin
+                # Of a mesh that deforms the box is where the last walk left it.
+                known = search[at.FACES] == 0 and search[at.VARIED] == 0
+                if known and not tip and out_of_reach(nodes, here, wide):
+                    continue
                 nodes_too = search[at.NODE_COUNT] if search[at.VARIED] > 0 else 0
                 highest = numba.carray(floats_at(search[at.NODE_MARGINS]), (nodes_too,))
                 own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))
                 found, valid, low = walk(
                     nodes, corners, order, slivers, edges, shape_of(search, blend), margin, highest,
-                    own, lowered, False, here, radius + more, wider * standoff, thickness, EASE,
+                    own, lowered, False, here, radius + more, wider * standoff, thickness, ease,
                     planes, m, queue, polygons,
                 )  # fmt: skip
             elif tip and len(ends) == 3:
@@ -312,8 +318,10 @@ def _set_ball(numbers, jacobians, guards, table, first, second):  # type: ignore
     far = 0.0
     bulge = 0.0
     for p in (first, second):
-        far = max(far, farthest(jacobians[p], table[at.SPEED]))
-        bulge = max(bulge, sagitta(jacobians[p], table[at.SPEED], 1.0, table[at.TURNS]))
+        bend = sagitta(jacobians[p], table[at.SPEED], 1.0, table[at.TURNS])
+        # A path leaves its tangent by four times as much as its chord.
+        far = max(far, widest(jacobians[p], table[at.SPEED]) + 4.0 * bend)
+        bulge = max(bulge, bend)
     if numbers[at.ASKED] > 0.0:
         far = min(far, numbers[at.ASKED])
     radius = max(far, 2.0 * numbers[at.STANDOFF])
