@@ -114,6 +114,7 @@ class Controller:
             (at.TIP_REACH, s.tip_speed * s.dt), (at.GUARDED, guarded),
             (at.ASKED, min(asked, default=0.0)), (at.SAGITTA, guarded * sagitta),
             (at.BEYOND, guarded * s.standoff),
+            (at.APPROACH, 1.0 if s.approach is None else min(s.approach * s.dt, 1.0)),
         ):  # fmt: skip
             numbers[place] = value
         self._backend = backend(s.solver, n, CAPACITY)

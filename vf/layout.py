@@ -112,7 +112,8 @@ GIVEN_UP = 30  # what all rows are relaxed by, where they cannot be met [m]
 LEAST = 31  # the smallest shortfall of the steps tried [m]
 VIOLATION = 32  # see `Step.violation` [m]
 MARKS = 33  # four times [s], each at the end of: kinematics, planes, QP, verification
-SCALARS = 37
+APPROACH = 37  # share of the room above a plane that a tick may use up
+SCALARS = 38
 
 # Rows of TABLE, each (n,) …
 TASK = 0  # six rows

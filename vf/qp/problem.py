@@ -124,7 +124,9 @@ def height(plane, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bounds):  # type: ignore[no-untyped-def]
+def fill_rows(  # type: ignore[no-untyped-def]
+    planes, m, places, jacobians, standoff, guards, moves, approach, rows, bounds
+):  # fmt: skip
     """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
     Below standoff and margin, b > 0 asks for a motion that recovers a share of the deficit, slowly
@@ -139,6 +141,7 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bound
         guards: (p, GUARD) see `vf.layout`.
         moves: whether planes have their CARRY, by how much they ask for motion beside all that;
             else it is set to 0.
+        approach: share of the room above its plane that a point may use up, 1: all of it.
 
     Returns:
         Distance of the nearest foot of a plane of the tip, and the worst deficit of any point to
@@ -187,6 +190,10 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bound
             if i == m or planes[i, POINT] != planes[first, POINT]:
                 _reconcile(planes[first:i], i - first, places, bounds[first:i])
                 first = i
+    if approach < 1.0:
+        for i in range(m):
+            if bounds[i] < 0.0:
+                bounds[i] *= approach
     if moves:
         for i in range(m):
             if planes[i, POINT] == 0.0 or rows[i].any():

@@ -151,7 +151,16 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if moving:
             set_carries(words, planes, places)
         numbers[at.DISTANCE], numbers[at.DEFICIT] = fill_rows(
-            planes, m, places, jacobians, numbers[at.STANDOFF], guards, moving, rows, bounds
+            planes,
+            m,
+            places,
+            jacobians,
+            numbers[at.STANDOFF],
+            guards,
+            moving,
+            numbers[at.APPROACH],
+            rows,
+            bounds,
         )
         if moving:
             lead_out(words, planes, m, places, guards, rows, bounds, table)

@@ -213,6 +213,41 @@ def test_every_rule_takes_a_shape(rule: str) -> None:
     assert q[2] - 2e-3 == pytest.approx(STANDOFF, abs=3 * UM)
 
 
+def test_a_wall_whose_parts_move_apart_is_not_met() -> None:
+    """What a plane covers rises here and sinks there: it goes along with what rises."""
+    surface = plate(0.0, 0.02)
+    v = surface.vertices
+    for slope in (0.02, -0.02):
+        rise = np.where(v[:, 2] > -1e-3, np.clip(slope * v[:, 0], -60 * UM, 60 * UM), 0.0)
+        body = surface.deforming(v + rise[:, None] * [0.0, 0.0, 1.0])
+        controller = over(body)
+        q = np.array([np.sign(slope) * 3e-3, 0.0, 40e-6])
+        motion = vf.Motion(HERE, HERE, blend=(0.0, 1.0))
+        step = controller.step(q, pose(q + np.array([np.sign(slope) * 1e-4, 0.0, 0.0])), [motion])
+        way = step.q - q
+        least = deforming.clearance(
+            corners(surface), corners(surface, body.vertices_after),
+            lambda s, way=way, q=q: q + s * way, float(np.linalg.norm(way)),
+        )  # fmt: skip
+        assert step.status is Status.SOLVED
+        assert least > 0.9 * STANDOFF
+
+
+def test_what_comes_from_beyond_the_ball_is_not_met() -> None:
+    """A thin wall that is out of the reach of the tool's step when the tick begins."""
+    surface = plate()
+    body = surface.deforming(surface.vertices + np.array([0.0, 0.0, 0.4e-3]))
+    fixture = vf.MeshFixture(body, radius=0.1e-3)
+    controller = vf.Controller(robots.load("point"), [fixture])
+    q = np.array([0.0, 0.0, 0.35e-3])
+    motion = vf.Motion(HERE, HERE, blend=(0.0, 1.0))
+    step = controller.step(q, pose(q), [motion])
+    assert step.status is Status.SOLVED or step.violation > 0.0
+    assert len(step.planes) > 0
+    if step.status is Status.SOLVED:
+        assert step.q[2] > 0.4e-3
+
+
 def test_a_part_that_beats_far_away_does_not_enlarge_the_ball_of_a_still_one() -> None:
     """Nor do its planes ask for anything."""
     surface = plate(0.0, 0.1)
