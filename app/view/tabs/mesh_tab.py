@@ -205,7 +205,8 @@ class MeshTab(Part):
                     if stated
                     else f"This {form} file does not say its unit: choose the size that it has."
                 )
-                + " Choose the side first if another than z is to face the tool.</div>"
+                + " Choose first what it is for, and the side if another than z is to face the "
+                "tool.</div>"
             )
             # Buttons first: they get the focus, with which a dropdown would open over the rest.
             choices = {
