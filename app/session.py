@@ -19,6 +19,7 @@ from app.control.process.handle import Child
 from app.control.process.parent import ControlProcess
 from app.control.watch import Crossing, Watch
 from app.devices.driving import Driving
+from app.devices.igtl.server import Server, server_of
 from app.devices.page import PageMaster
 from app.devices.spec import Spec
 from app.devices.station import Station
@@ -104,6 +105,8 @@ class Session(Driving):
         )
         self._watch = Watch()
         self.spec = spec = Spec.of(options)
+        self._led = spec is not None and spec.leads
+        self._server: Server | None = None
         self._loop: Host
         if child is None:
             self._writer = OrderWriter(orders)
@@ -134,12 +137,18 @@ class Session(Driving):
 
         Raises:
             Refused: the control process ended instead.
+            OptionError: the master's address cannot be listened on.
         """
+        self._server = server_of(self)
         self._watch.start()
         self._loop.start()
+        if self._server is not None:
+            self._server.start()
 
     def close(self) -> None:
         """Stop the control loop and wait for it; finish a recording. Safe to call twice."""
+        if self._server is not None:
+            self._server.close()
         self._loop.close()
         self._watch.close()
 
@@ -381,6 +390,6 @@ class Session(Driving):
         self._watch.take(orders, telemetry, ticked)
         if telemetry.step is not None:
             self.master.feel(telemetry.step.force)
-            if self.spec is not None and self.spec.master != "page":
+            if self._led:
                 # The handle is drawn where the other master wants the tool.
                 self.master.handle = telemetry.target or telemetry.step.tip

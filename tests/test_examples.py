@@ -35,6 +35,12 @@ SHOWN = {
         r"ur5, 6 joints\n  probe       radius  2\.50 mm, axis  97\.5 mm",
         r"needle      radius  1\.60 mm, axis  43\.1 mm, moves with z",
     ],
+    "09_own_device.py": [
+        r"before: DISABLED",
+        r"now: ENABLED, True set-points",
+        r"rests 0\.[1-3] mm off the surface, force 0\.[4-9] N",
+        r"crossed the mesh: no",
+    ],
     "08_moving_structure.py": [
         r"1500 ms  \w+ +lifted 3\.5\d mm",
         r"never closer than 0\.52 mm",

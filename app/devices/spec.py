@@ -10,6 +10,7 @@ import pinocchio as pin
 from app.kinds.links import Address, Link, parse_address
 from app.settings import Options
 
+OF_SESSION = ("page", "igtl")  # masters that give their orders to the session
 MOVE_SPEED = 0.05, 0.5  # of the tool in a move of its own [m/s, rad/s]
 
 
@@ -38,12 +39,18 @@ class Spec:
     def of(options: Options) -> Spec | None:
         """What the options ask for; None: arm and master of the sandbox itself."""
         link = Link(options.delay, options.jitter, options.loss)
-        if options.arm == "sim" and options.master == "page" and link.clear:
+        master = parse_address("master", options.master, link)
+        if options.arm == "sim" and master.scheme in OF_SESSION and master.link.clear:
             return None
         return Spec(
             options.arm, options.master, link, options.robot, options.dt, options.horizon,
             options.enable or options.arm == "sim",
         )  # fmt: skip
+
+    @property
+    def leads(self) -> bool:
+        """Whether the master reaches the control loop without the session."""
+        return self.addresses()[1].scheme not in OF_SESSION
 
     def addresses(self) -> tuple[Address, Address]:
         """Those of arm and master."""

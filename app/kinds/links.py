@@ -15,11 +15,17 @@ _TIME = re.compile(r"\s*([-+0-9.eE]+)\s*(ms|s|µs|us)\s*")
 _FACTOR = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 SCHEMES = {
     "arm": ("sim", "socket", "ros", "python"),
-    "master": ("page", "sim", "socket", "ros", "python"),
+    "master": ("page", "sim", "socket", "ros", "igtl", "python"),
 }
 """By role: the kinds of devices there are."""
 NETWORKED = ("socket", "ros", "python")
-_SHAPES = {"socket": "socket://HOST:PORT", "ros": "ros:/NAMESPACE", "python": "python:FILE:CLASS"}
+PLAIN = ("sim", "page")
+_SHAPES = {
+    "socket": "socket://HOST:PORT",
+    "ros": "ros:/NAMESPACE",
+    "igtl": "igtl://HOST:PORT",
+    "python": "python:FILE:CLASS",
+}
 
 
 def parse_time(text: str) -> float:
@@ -147,20 +153,21 @@ def parse_address(role: str, text: str, link: Link | None = None) -> Address:
         OptionError: an unknown kind of device, or a part that is not valid.
     """
     known = SCHEMES[role]
-    if text in known and text not in NETWORKED:
+    if text in known and text in PLAIN:
         return Address(text, link=link or Link())
     try:
         parts = urlsplit(text)
         port = parts.port
     except ValueError as error:
         raise OptionError(f"{role} {shown(text)}: {error}") from None
-    if parts.scheme not in known or parts.scheme not in NETWORKED:
+    if parts.scheme not in known or parts.scheme in PLAIN:
         raise OptionError(
             f"{role} {shown(text)} is no device: choose one of "
             + ", ".join(_SHAPES.get(one, one) for one in known)
         )
     complete = {
         "socket": bool(parts.hostname) and port is not None,
+        "igtl": bool(parts.hostname) and port is not None,
         "ros": re.fullmatch(r"(/[A-Za-z_]\w*)+", parts.path) is not None and not parts.netloc,
         "python": re.fullmatch(r".+:[A-Za-z_]\w*", parts.path) is not None,
     }

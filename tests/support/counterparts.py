@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
+MODULES = {"arm": "dvrk_arm", "console": "dvrk_console", "slicer": "slicer"}
 
 
 def free_port() -> int:
@@ -52,9 +53,9 @@ class Counterpart:
 
 @contextmanager
 def counterpart(kind: str, port: int, *words: str) -> Iterator[Counterpart]:
-    """A running stand-in; `kind`: "arm" or "console"."""
+    """A running stand-in; `kind`: one of `MODULES`."""
     with subprocess.Popen(
-        [sys.executable, "-m", f"tests.support.dvrk_{kind}", "127.0.0.1", str(port), *words],
+        [sys.executable, "-m", f"tests.support.{MODULES[kind]}", "127.0.0.1", str(port), *words],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
     ) as process:  # fmt: skip
         try:

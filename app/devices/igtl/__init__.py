@@ -1,0 +1,1 @@
+"""3D Slicer and others over OpenIGTLink: transforms in and out, registration, structures."""
