@@ -35,7 +35,7 @@ SHOWN = {
         r"ur5, 6 joints\n  probe       radius  2\.50 mm, axis  97\.5 mm",
         r"needle      radius  1\.60 mm, axis  43\.1 mm, moves with z",
     ],
-    "09_own_device.py": [
+    "10_own_device.py": [
         r"before: DISABLED",
         r"now: ENABLED, True set-points",
         r"rests 0\.[1-3] mm off the surface, force 0\.[4-9] N",
