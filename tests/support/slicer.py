@@ -1,7 +1,7 @@
 """A stand-in for 3D Slicer as a client of OpenIGTLink, for a process of its own.
 
-It writes messages of version 2, with an extended header and metadata, as Slicer does, and checks the
-CRC of what it reads bit by bit. Nothing of the application is used.
+It writes messages of version 2, with an extended header and metadata, as Slicer does, and checks
+the CRC of what it reads bit by bit. Nothing of the application is used.
 
     python -m tests.support.slicer 127.0.0.1 18944
 
