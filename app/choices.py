@@ -38,6 +38,7 @@ SCENARIOS = (
     "saddle", "unclean-mesh-paper", "unclean-mesh-certified", "million-triangles",
     "through-the-fontanelle", "keyhole", "around-the-corner", "around-the-corner-tip-only",
     "temporal-bone", "breathing-liver", "breathing-liver-no-margin", "knock-on-the-table",
+    "beating-heart",
 )  # fmt: skip
 SKULLS = ("skull", "skull-coarse", "skull-fine")
 """Meshes of the cutting experiments."""

@@ -31,7 +31,8 @@ from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.scene.work import Work
-from app.settings import DECLARED, MESH, Options, Structure, kind_of
+from app.settings import DECLARED, MESH, Options, kind_of
+from app.structure import Structure
 
 DEFAULTS = Options()
 OF_MESH = (*MESH, "margin", "guarded", "colour", "opacity")  # go with the mesh

@@ -5,7 +5,6 @@ Cheap to import, see `app.options`.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,72 +32,13 @@ from app.kinds import (
     Whole,
     bare,
 )
-from app.motion.declared import KINDS, Motion, Tracker
+from app.motion.declared import DEFORMING, KINDS, Motion, Tracker
 from app.options import Checked, Record, Scope, declared, option
+from app.structure import Registration, Structure, printable
 from app.words import OptionError
 
 MOST = 64  # structures beside the mesh
 AHEAD = 1e-2  # a set-point of an arm that is elsewhere may be so far ahead of where it is [s]
-
-
-@dataclass(frozen=True)
-class Structure(Checked):
-    """A surface that is guarded with a margin of its own. Lengths are in metres.
-
-    Attributes:
-        file: a mesh file, a label map, a folder of mesh files, or a name of the catalogue. All are
-            in the frame of the scene's mesh. A label may follow: ``head.nrrd:3``.
-        label: number or name of a label; None: all of them.
-        name: for the page; None: as the file says.
-        colour: such as ``#cc8844``; None: as the file says, or the page's choice.
-        opacity: of the drawing.
-        margin: distance the tool keeps beyond the standoff [m]; None: as the file says, else none.
-        guard: "tip" or "tool", as the option of the session; None: as that says.
-        guarded: whether it is guarded; it is drawn in any case.
-        unit: of the file; None: that of the scene's mesh.
-
-    Raises:
-        OptionError: an invalid value.
-    """
-
-    file: str = option(File(metavar="FILE[:LABEL]"), about="File, label map, folder or name.")
-    label: str | None = option(Maybe(Text(100)), None, "Number or name of a label.")
-    name: str | None = option(Maybe(Text(100)), None, "Name on the page.")
-    colour: str | None = option(Maybe(Colour()), None, "Colour of the drawing.")
-    opacity: float = option(Number(0.05, 1.0), 1.0, "Opacity of the drawing.")
-    margin: float | None = option(
-        Maybe(Length(0.0, 0.05), "default"), None, "Distance kept beyond the standoff."
-    )
-    guard: str | None = option(
-        Maybe(OneOf("guard", choices.GUARDS), "default"), None, "What is kept out."
-    )
-    guarded: bool = option(Switch(), True, "Whether it is guarded.")
-    unit: str | None = option(Maybe(OneOf("unit", choices.UNITS)), None, "Unit of the file.")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        file, label = split(self.file)
-        if label is not None and self.label is None:
-            object.__setattr__(self, "file", file)
-            object.__setattr__(self, "label", label)
-
-    @property
-    def source(self) -> tuple[str, str | None, str | None]:
-        """What its surface depends on: file, label, unit."""
-        return self.file, self.label, self.unit
-
-
-def split(text: str) -> tuple[str, str | None]:
-    """File and label of ``FILE:LABEL``; what ends like a file's name has no label."""
-    file, colon, label = text.rpartition(":")
-    if not colon or not file or not label or "/" in label or re.search(r"\.\w+$", label):
-        return text, None
-    return file, label
-
-
-def printable(name: str) -> str:
-    """A name of a file or label as one of a structure: at most 100 printable characters."""
-    return "".join(c if c.isprintable() else "?" for c in name)[-100:] or "?"
 
 
 @dataclass(frozen=True)
@@ -177,8 +117,8 @@ class Options(Checked):
     motions: tuple[Motion, ...] = option(
         Repeated(Record(Motion, "a motion")), (),
         f"A motion of structures: {', '.join(KINDS)}. May be repeated. What follows it directly is "
-        "of this motion: --move, --turn, --period, --after, --file, --of with the name of a "
-        "structure, else all move.",
+        "of this motion: --move, --turn, --period, --after, --file, --amplitude, --of with the "
+        "name of a structure, else all move.",
         Scope.MESH, flag="motion",
     )  # fmt: skip
     tracker: Tracker | None = option(
@@ -186,6 +126,13 @@ class Options(Checked):
         "How often a tracker sees moving structures [Hz]; off: the guard knows where they are. "
         "What follows it directly is of the tracker: --latency, --noise, --dropouts, --bound, "
         "--predictor, --period, --stale, --seed.",
+        Scope.MESH,
+    )  # fmt: skip
+    registration: Registration | None = option(
+        Maybe(Record(Registration, "a registration"), "off"), None,
+        "Fiducials of the registration, a text file with x y z in mm of the mesh's own axes in a "
+        "line: every structure's margin is larger by what the registration may be off there. What "
+        "follows it directly is of the registration: --fle, --factor.",
         Scope.MESH,
     )  # fmt: skip
     margin: float = option(
@@ -319,6 +266,12 @@ class Options(Checked):
             raise OptionError(f"structures are {len(self.structures)}: at most {MOST} are guarded")
         if len(self.motions) > MOST:
             raise OptionError(f"motions are {len(self.motions)}: there may be {MOST} at most")
+        deforms = any(motion.kind in DEFORMING for motion in self.motions)
+        if deforms and self.tracker is not None and self.tracker.predictor != "off":
+            raise OptionError(
+                f"the predictor {self.tracker.predictor} is of poses: not with a structure that "
+                "changes its shape"
+            )
 
     @cached_property
     def anatomy(self) -> tuple[Structure, ...]:

@@ -1,7 +1,7 @@
 """Meshes for virtual fixtures: catalogue, files, health report, repair, placement. Lengths in m."""
 
 from meshes.anatomy.maps import Label
-from meshes.anatomy.margins import margins
+from meshes.anatomy.margins import MarginMap, margin_map, margins
 from meshes.anatomy.structures import Structure, labels, structures
 from meshes.builtin.catalogue import Entry, absent, catalogue, names, planned_path
 from meshes.builtin.deforming import Deforming, deforming
@@ -12,7 +12,7 @@ from meshes.errors import MeshError, UnitGuess
 from meshes.formats import FORMATS, WRITABLE, kind
 from meshes.frames import FRAMES, frame_description
 from meshes.load import Loaded, arrays, load, read
-from meshes.path import read_path
+from meshes.path import read_fiducials, read_path
 from meshes.place import UPS, Display, Placement, display, place, placement, transformed
 from meshes.save import save
 from meshes.units import UNITS, UnitNeeded
@@ -31,6 +31,7 @@ __all__ = [
     "Health",
     "Label",
     "Loaded",
+    "MarginMap",
     "MeshError",
     "Placement",
     "Repaired",
@@ -47,12 +48,14 @@ __all__ = [
     "kind",
     "labels",
     "load",
+    "margin_map",
     "margins",
     "names",
     "place",
     "placement",
     "planned_path",
     "read",
+    "read_fiducials",
     "read_path",
     "repair",
     "save",

@@ -75,6 +75,7 @@ def _of_size(part: bytes, size: int) -> bytes:
     return part
 
 
+# Our own, as the package lz4 takes a match at distance 0, which the format forbids, for zeros.
 @njit(cache=True, nogil=True)
 def _lz4(source, out):  # type: ignore[no-untyped-def]
     """How many bytes were written; −1 where the block is damaged or holds more than fits."""

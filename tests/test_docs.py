@@ -238,6 +238,8 @@ MORE = {
     "tick/tick": {"numba"},
     "tick/yielding": {"numba"},
     "qp/active_set": {"numba"},
+    "tree/shapes": {"numba"},
+    "tree/forms": {"sys"},  # whether memory is still referred to
 }
 
 

@@ -35,7 +35,7 @@ SHOWN = {
         r"ur5, 6 joints\n  probe       radius  2\.50 mm, axis  97\.5 mm",
         r"needle      radius  1\.60 mm, axis  43\.1 mm, moves with z",
     ],
-    "09_own_device.py": [
+    "10_own_device.py": [
         r"before: DISABLED",
         r"now: ENABLED, True set-points",
         r"rests 0\.[1-3] mm off the surface, force 0\.[4-9] N",
@@ -45,6 +45,10 @@ SHOWN = {
         r"1500 ms  \w+ +lifted 3\.5\d mm",
         r"never closer than 0\.52 mm",
         r"knocked: OVERTAKEN, up to 2\d mm deep",
+    ],
+    "09_deforming_structure.py": [
+        r"600 ms  SOLVED     lifted 2\.\d\d mm",
+        r"never closer than [12]\d µm",
     ],
 }
 

@@ -14,7 +14,7 @@ from vf.rules.paper import every_plane, paper_planes
 from vf.selftest import check_kernels
 from vf.settings import GUARDS, Settings
 from vf.status import Status
-from vf.surface import Contacts, Surface
+from vf.surface import Contacts, DeformingSurface, Surface
 from vf.tick.haptics import force
 from vf.tick.step import Step, Timings
 from vf.tree.closest import Feature, closest_point
@@ -31,6 +31,7 @@ __all__ = [
     "Controller",
     "CorridorFixture",
     "Cover",
+    "DeformingSurface",
     "Edge",
     "Explanation",
     "Feature",

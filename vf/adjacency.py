@@ -141,3 +141,12 @@ def closedness(
     keys, forward = keys[rank], forward[rank]
     starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
     return proper, repeated, not np.add.reduceat(forward, starts).any()
+
+
+def doubles_of(vertices: FloatArray) -> tuple[IntArray, IntArray]:
+    """The vertices that are exactly where an earlier one is, and those."""
+    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()
+    _, first, place = np.unique(rows, return_index=True, return_inverse=True)
+    original = first[place.reshape(-1)]
+    doubles = np.flatnonzero(original != np.arange(len(vertices)))
+    return doubles, original[doubles]

@@ -13,22 +13,20 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from vf import layout as at
-from vf.fixtures import RULES, Fixture, MeshFixture
-from vf.motion import Motion, placed, seen_from
+from vf.fixtures import Fixture, MeshFixture
+from vf.motion import Motion, placed, seen_from, shifted
 from vf.planes import FloatArray, Planes, write_records
 from vf.qp import problem
 from vf.qp.active_set import left_over
 from vf.qp.solver import Solver, backend
-from vf.rules.corridor import CorridorFixture
-from vf.selftest import check_kernels
+from vf.selftest import warm_up
 from vf.settings import Settings
 from vf.status import Status
-from vf.surface import Surface
+from vf.surface import DeformingSurface, Surface
 from vf.tick.block import Block
-from vf.tick.bodies import instrument, tip_alone
+from vf.tick.bodies import check_limits, guards_tool, instrument, tip_alone
 from vf.tick.step import Step, Timings, numbers_of, tip_of
 from vf.tick.tick import tick
-from vf.tree.nearest import nearest_face_freely
 
 # The unconstrained step may be this many ticks long; the optimum is then shortened to one tick.
 # With 1 a tool that a proxy deep behind a wall presses onto it slides slowly, since most of its
@@ -78,13 +76,13 @@ class Controller:
         self.arm = arm
         self.fixtures = tuple(fixtures)
         self.settings = s = settings or Settings()
-        _check_limits(arm)
+        check_limits(arm)
         n = len(arm.lower)
         self._shape = (n,)
         chain = getattr(arm, "chain", None)
         searches = [getattr(fixture, "search", None) for fixture in self.fixtures]
         parts = tip_alone(s.tip_radius)
-        whole = [_guards_tool(fixture, s.guard) for fixture in self.fixtures]
+        whole = [guards_tool(fixture, s.guard) for fixture in self.fixtures]
         if any(whole):
             middle = 0.5 * (np.asarray(arm.lower) + np.asarray(arm.upper))
             parts = instrument(arm, s.tip_radius, s.trocar, middle, True)
@@ -116,6 +114,7 @@ class Controller:
             (at.TIP_REACH, s.tip_speed * s.dt), (at.GUARDED, guarded),
             (at.ASKED, min(asked, default=0.0)), (at.SAGITTA, guarded * sagitta),
             (at.BEYOND, guarded * s.standoff),
+            (at.APPROACH, 1.0 if s.approach is None else min(s.approach * s.dt, 1.0)),
         ):  # fmt: skip
             numbers[place] = value
         self._backend = backend(s.solver, n, CAPACITY)
@@ -124,6 +123,13 @@ class Controller:
         # Joints and tip of the last tick whose joints could be used; a tick's record has both.
         self._sent: bytes | tuple[FloatArray, pin.SE3] | None = None
         self._moves = 0  # bits: which fixtures moved in the last tick
+        self._deforms = 0  # bits: the surfaces of which may deform
+        self._surfaces: list[Surface | None] = [None] * len(self.fixtures)
+        for f, fixture in enumerate(self.fixtures):
+            if isinstance(fixture, MeshFixture):
+                self._surfaces[f] = fixture.surface
+                if isinstance(fixture.surface, DeformingSurface):
+                    self.replace(f, fixture.surface)
         self._moved = (False,) * len(self.fixtures)
         self._tick = _COMPILED.tick
         if not Controller._warm:
@@ -134,6 +140,40 @@ class Controller:
                 Controller._warm = False
                 raise
 
+    @property
+    def surfaces(self) -> tuple[Surface | None, ...]:
+        """The surface of each fixture that the ticks see; None: it has none."""
+        return tuple(self._surfaces)
+
+    def replace(self, number: int, surface: DeformingSurface) -> None:
+        """Let a fixture have another shape of its mesh from the next tick on; some microseconds.
+
+        The first one of a fixture takes memory for its triangles (80 bytes each).
+
+        Args:
+            number: of the fixture.
+            surface: made by `deforming` from the surface of the fixture, or from one made so.
+
+        Raises:
+            ValueError: there is no such fixture, it has no surface, or not of this mesh.
+        """
+        if not 0 <= number < len(self.fixtures):
+            raise ValueError(f"no fixture {number!r}: there are {len(self.fixtures)}, from 0")
+        fixture = self.fixtures[number]
+        if not isinstance(fixture, MeshFixture):
+            raise ValueError(f"fixture {number} has no surface: it is a {type(fixture).__name__}")
+        if not isinstance(surface, DeformingSurface):
+            raise ValueError(f"fixture {number} needs a surface made by deforming, got {surface!r}")
+        if not surface.follows(fixture.surface):
+            raise ValueError(
+                f"fixture {number} needs a surface made by deforming from its own, not another"
+                f" mesh: {surface!r}"
+            )
+        self._surfaces[number] = surface
+        self._deforms |= 1 << number
+        self._block.deform(number, surface)
+        self._block.sides[number, at.MARGIN] = fixture.margins.margin
+
     def warm_up(self) -> None:
         """Compile (or load from disk) every kernel a tick may call, and check known answers.
 
@@ -143,35 +183,17 @@ class Controller:
         Raises:
             RuntimeError: a kernel gives a wrong answer on this machine (`vf.check_kernels`).
         """
-        check_kernels()
         sent = self._sent
-        q = 0.5 * (self.arm.lower + self.arm.upper)
-        T = self.arm.tip(q)
-        corners = np.array([[0, 0, -1], [9, 0, -8], [-9, 9, -8], [-9, -9, -8]], dtype=float)
-        faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
-        for centre in (
-            T.translation,
-            T.translation + np.array([0.0, 0.0, 3e-3]),
-        ):  # outside, inside
-            surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
-            # Used by `Surface.nearest` only where much of the surface is at the same distance.
-            tree = surface.tree
-            nearest_face_freely(tree.nodes, tree.corners, T.translation.copy(), inf, -1)
-            # Used only by steps out of a body.
-            MeshFixture(surface).leads_out(T.translation, T.translation + 0.01)
-            for rule in RULES:
-                fixture = MeshFixture(surface, rule)
-                controller = Controller(self.arm, [fixture], self.settings)
-                goal = T.copy()
-                goal.translation = T.translation - [0.0, 0.0, 4e-3]
-                state = q
-                for _ in range(40):
-                    state = controller.step(state, goal).q
-        along = np.array([0.01, 0.0, 0.0])
-        walls = CorridorFixture([T.translation - along, T.translation + along], [0.0, 0.0, -1.0])
-        Controller(self.arm, [walls, walls], self.settings).step(q, T)
-        self.step(q, T)
+        warm_up(self)
         self._sent = sent
+
+    def shaped(self, f: int) -> Fixture:
+        """Fixture number f on its surface in the shape of the start of the last tick."""
+        fixture, surface = self.fixtures[f], self._surfaces[f]
+        if not isinstance(surface, DeformingSurface) or not isinstance(fixture, MeshFixture):
+            return fixture
+        blend = float(self._block.motions[f, at.BLEND]) if self._moved[f] else 0.0
+        return fixture.on(surface.shape(blend))
 
     def step(
         self, q: ArrayLike, target: pin.SE3, motions: Sequence[Motion | None] | None = None
@@ -230,6 +252,8 @@ class Controller:
                     if type(motion) is Motion:
                         poses[place : place + _POSES] = motion.packed
                         moves |= bit
+                        if motion.deforms and not self._deforms & bit:
+                            usable = False
                     elif motion is not None:
                         usable = False
                     bit <<= 1
@@ -256,8 +280,8 @@ class Controller:
 
     def _look_for_sides(self, q: FloatArray) -> None:
         block = self._block
-        for f, fixture in enumerate(self.fixtures):
-            block.sides[f, at.WITHIN] = fixture.inside(self._seen(f))
+        for f in range(len(self.fixtures)):
+            block.sides[f, at.WITHIN] = self.shaped(f).inside(self._seen(f))
 
     def _seen(self, f: int) -> FloatArray:
         """Where the tip is at the start of the tick, in the frame of a fixture."""
@@ -272,14 +296,19 @@ class Controller:
         """The planes of all fixtures, from their Python methods."""
         s, block = self.settings, self._block
         radius = float(block.numbers[at.SEARCHED])
-        parts = []
-        for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True)):
+        parts, carries = [], []
+        for f, within in enumerate(self._inside):
+            fixture = self.shaped(f)
             moves = self._moved[f]
             more = float(block.motions[f, at.MORE]) if moves else 0.0
             part = fixture.planes(self._seen(f), radius + more, s.standoff, s.tip_radius, within)
+            carry = np.zeros(len(part))
             if moves:
-                part = placed(part, block.motions[f, at.TO : at.SPIN], more)
+                motion = block.motions[f]
+                part, carry = shifted(part, motion[at.SHIFT :][:3], motion[at.SPREAD :][:3])
+                part = placed(part, motion[at.TO : at.SPIN], more)
             parts.append(part)
+            carries.append(carry)
         count = sum(map(len, parts))
         if count > block.room:
             block.reserve(2 * count)
@@ -289,6 +318,7 @@ class Controller:
             margins = getattr(self.fixtures[f], "margins_at", None)
             margin = 0.0 if margins is None else margins(part.triangles)
             block.planes[first : first + len(part), at.KEEP] = s.standoff + margin
+            block.planes[first : first + len(part), at.CARRY] = carries[f]
             first += len(part)
         block.words[at.COUNT] = count
         block.numbers[at.REACH] = min((part.radius for part in parts), default=radius)
@@ -309,10 +339,12 @@ class Controller:
         ends = [block.trials[0].copy() for _ in self.fixtures]
         for f, moves in enumerate(self._moved):
             if moves:
-                ends[f] = seen_from(block.motions[f, at.TO : at.SPIN], ends[f])
+                motion = block.motions[f]
+                # Where it is relative to what deforms around it.
+                ends[f] = seen_from(motion[at.TO : at.SPIN], ends[f]) - motion[at.SHIFT :][:3]
         block.words[at.ANSWER] = all(
-            fixture.leads_out(self._seen(f), ends[f])
-            for f, (fixture, within) in enumerate(zip(self.fixtures, self._inside, strict=True))
+            self.shaped(f).leads_out(self._seen(f), ends[f])
+            for f, within in enumerate(self._inside)
             if within
         )
 
@@ -346,29 +378,6 @@ _ANSWERS: dict[int, Callable[[Controller, FloatArray], None]] = {
     at.TRIED: Controller._place_tried,
     at.JUDGED: Controller._judge,
 }
-
-
-def _guards_tool(fixture: Fixture, guard: str) -> bool:
-    """Whether a fixture guards bodies beside the tip, where settings say `guard` of all."""
-    search = getattr(fixture, "search", None)
-    own = getattr(fixture, "guard", None) or guard
-    return search is not None and search.kind == at.MESH and own == "tool"
-
-
-def _check_limits(arm: Kinematics) -> None:
-    """ValueError unless all limits are finite, with lower ≤ upper and speeds above zero."""
-    lower, upper, speed = (np.asarray(v, float) for v in (arm.lower, arm.upper, arm.velocity))
-    most = problem.JOINT_RANGE
-    if not ((-most <= lower) & (lower <= upper) & (upper <= most)).all():
-        raise ValueError(
-            f"an arm's position limits must be numbers within ±{most:g} rad or m, lower ≤ upper,"
-            f" got {lower} and {upper}"
-        )
-    if not ((speed > 0.0) & (speed <= most)).all():
-        raise ValueError(
-            f"an arm's speed limits must be above zero and at most {most:g} rad/s or m/s, got"
-            f" {speed}: a joint that is not to move is no joint"
-        )
 
 
 class _Compiled:

@@ -107,13 +107,23 @@ class MeshFixture:
         self.radius = radius
         self.guard = guard
         self.name = name
-        self.margins = margins_of(surface.tree, surface.vertices, surface.faces, margin)
+        tree = surface.searched
+        self.margins = margins_of(tree, surface.vertices, surface.faces, margin)
         self.certified = rule in ("certified", "off")
         self._field = DistanceField(surface) if rule == "sdf" else None
         # The controller looks for the certified planes itself where the tip is not inside.
         self.search: Search | None = None
         if rule == "certified":
-            self.search = Search(MESH, surface.tree, surface.edges, margins=self.margins)
+            self.search = Search(MESH, tree, surface.edges, margins=self.margins)
+
+    def on(self, surface: Surface) -> MeshFixture:
+        """The same fixture on another shape of its mesh."""
+        fixture = object.__new__(type(self))
+        fixture.__dict__.update(self.__dict__)
+        fixture.surface = surface
+        if self._field is not None:
+            fixture._field = DistanceField(surface)
+        return fixture
 
     def margins_at(self, triangles: IntArray) -> FloatArray:
         """The margins (k,) of faces (k,) [m]."""

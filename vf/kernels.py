@@ -61,6 +61,7 @@ def _pointer(kind: Any) -> Any:
 # Whoever stores an address keeps the array alive.
 floats_at = _pointer(types.float64)
 integers_at = _pointer(types.int64)
+rows_at = _pointer(types.int32)
 bytes_at = _pointer(types.int8)
 
 

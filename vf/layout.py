@@ -76,7 +76,10 @@ REPORT = 44  # (HEAD + 2 n,) see below
 GUARDS = 45  # (POINTS, GUARD) numbers of each guarded point
 BODY_TABLE = 46  # (BODIES, BODY) integers: what is guarded beside the tip
 MOTIONS = 47  # (FIXTURES, MOTION) how each fixture moves
-WORDS = 48
+RECOVERS = 48  # not an address; 1: a step has to gain what is in
+GAINS = 49  # (ROOM,) what each plane asks a step to gain, see `attempts.note_gains` [m]
+DEFORMS = 50  # not an address; 1: the surface of a fixture deforms
+WORDS = 51
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -109,7 +112,8 @@ GIVEN_UP = 30  # what all rows are relaxed by, where they cannot be met [m]
 LEAST = 31  # the smallest shortfall of the steps tried [m]
 VIOLATION = 32  # see `Step.violation` [m]
 MARKS = 33  # four times [s], each at the end of: kinematics, planes, QP, verification
-SCALARS = 37
+APPROACH = 37  # share of the room above a plane that a tick may use up
+SCALARS = 38
 
 # Rows of TABLE, each (n,) …
 TASK = 0  # six rows
@@ -123,7 +127,8 @@ TRIAL = 14  # joint positions that are tried
 CHOSEN = 15  # the best of them
 STEP = 16  # the step that shorter ones are parts of
 OTHER = 17  # the step of a second optimum
-JOINT_ROWS = 18
+MIX = 18  # a step between the two
+JOINT_ROWS = 19
 
 # What a fixture is: integers.
 KIND = 0  # see `GIVEN`
@@ -137,25 +142,38 @@ NODE_MARGINS, OWN_MARGINS = 12, 13  # addresses of (k,), (m,), see `margins.Marg
 VARIED = 14  # m, or 0: the margin is the same for the whole surface
 TOOL = 15  # 1: it guards the bodies of the instrument beside the tip
 MOVES = 16  # 1: it moves in this tick
-SEARCH = 17
+# Of a surface that deforms (else 0), see `vf.tree.shapes`: addresses of the faces of its skeleton
+# (m, 3) int32, of its vertices (n, 3) and boxes (k, 6) before and after, and of its shifts (k, 6);
+# and numbers that no other shape has: of the shape before, of those between, of the shape after.
+FACES, BEFORE, AFTER, BOXES, BOXES_AFTER, SHIFTS = 17, 18, 19, 20, 21, 22
+FORM, FORM_BETWEEN, FORM_AFTER = 23, 24, 25
+SEARCH = 26
 
 # Numbers of a fixture.
 SEEN = 0  # three numbers: position, in its frame, of which the side is known [m]; nan: none
 WITHIN = 3  # 1: inside there, 0: outside
-MARGIN = 4  # [m], where it is the same for the whole surface
-SIDE = 5
+MARGIN = 4  # [m], the largest
+SEEN_FORM, SEEN_BLEND = 5, 6  # the shape of which the side is known
+SIDE = 7
 
 # How a fixture moves: its pose at the start and at the end of the tick, each the rows of the
 # rotation and then the translation, how far it turns [rad], and its origin goes, a bound [m]; what
-# is added to its margins, and how much of that is new [m].
+# is added to its margins, and how much of that is new [m]; its blends at the start and at the end.
 FROM = 0
 TO = 12
 SPIN = 24
 DRIFT = 25
 ADDED = 26
 GROWTH = 27
-MORE = 28  # by how much the ball to search for the tip is larger in its frame [m]
-MOTION = 29
+BLEND, BLEND_AFTER = 28, 29
+MORE = 30  # by how much the ball to search for the tip is larger in its frame [m]
+# How the surface near the tip deforms in the tick, in its frame: the middle of the displacements,
+# and how far they are from it at most, three numbers each [m].
+SHIFT = 31
+SPREAD = 34
+# How far anything near the tool is displaced at most, and from that middle [m].
+MOST_SHIFT, MOST_SPREAD = 37, 38
+MOTION = 39
 
 # Numbers of a guarded point.
 ANCHOR = 0  # four numbers: where it is fixed to the chain, see `vf.tick.chain`
@@ -206,3 +224,4 @@ YIELDING = 2  # rows relaxed by one length, the least that can be met: sought by
 SHORTER = 3  # a shorter part of it
 CORRECTED = 4  # the optimum with rows moved by the linearisation error just measured
 PART = 5  # by bisection
+RECOVERY = 6  # the least step that recovers; then steps between it and the optimum, by bisection

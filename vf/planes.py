@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from math import isfinite
+from math import isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,17 @@ def checked_length(name: str, value: float, positive: bool = False) -> float:
     if length > LARGEST:
         raise ValueError(f"the {name} must be at most {LARGEST:g} m, got {value!r}")
     return length
+
+
+def checked_blend(name: str, blend: float) -> float:
+    """A blend as a float; ValueError unless it is from 0 to 1."""
+    try:
+        value = float(blend)
+    except (TypeError, ValueError):
+        value = nan
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"the {name} must be a number from 0 to 1, got {blend!r}")
+    return value
 
 
 class Rule(IntEnum):

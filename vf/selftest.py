@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import sqrt
+from math import inf, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from vf.fixtures import RULES, MeshFixture
+from vf.motion import Motion
 from vf.planes import Planes
 from vf.qp.least_squares import ConstrainedLeastSquares
 from vf.rules.certified import certified_planes
@@ -15,6 +19,10 @@ from vf.rules.corridor import CorridorFixture
 from vf.rules.paper import paper_planes
 from vf.surface import Surface
 from vf.tick.haptics import force
+from vf.tree.nearest import nearest_face_freely
+
+if TYPE_CHECKING:
+    from vf.controller import Controller
 
 CLOSE = 1e-9  # [m]
 STANDOFF = 20e-6
@@ -39,6 +47,39 @@ def check_kernels() -> None:
                 f"{right.tolist()}. Nothing they compute can be trusted on "
                 "this machine; delete the folders __pycache__ of the installation and start again"
             )
+
+
+def warm_up(controller: Controller) -> None:
+    """Call every kernel that a tick may call, after `check_kernels`: see `Controller.warm_up`."""
+    check_kernels()
+    arm, settings, made = controller.arm, controller.settings, type(controller)
+    q = 0.5 * (arm.lower + arm.upper)
+    T = arm.tip(q)
+    corners = np.array([[0, 0, -1], [9, 0, -8], [-9, 9, -8], [-9, -9, -8]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    for centre in (T.translation, T.translation + np.array([0.0, 0.0, 3e-3])):  # outside, inside
+        surface = Surface.from_arrays(corners * 1e-3 + centre, faces)
+        # Used by `Surface.nearest` only where much of the surface is at the same distance.
+        tree = surface.tree
+        nearest_face_freely(tree.nodes, tree.corners, T.translation.copy(), inf, -1)
+        # Used only by steps out of a body.
+        MeshFixture(surface).leads_out(T.translation, T.translation + 0.01)
+        for rule in RULES:
+            one = made(arm, [MeshFixture(surface, rule)], settings)
+            goal = T.copy()
+            goal.translation = T.translation - [0.0, 0.0, 4e-3]
+            state = q
+            for _ in range(40):
+                state = one.step(state, goal).q
+        deforming = surface.deforming(surface.vertices + 1e-6).deforming(surface.vertices)
+        one = made(arm, [MeshFixture(deforming)], settings)
+        here = pin.SE3.Identity()
+        one.step(q, T, [Motion(here, here, blend=(0.0, 0.5))])
+        one.shaped(0).leads_out(T.translation, T.translation + 0.01)
+    along = np.array([0.01, 0.0, 0.0])
+    walls = CorridorFixture([T.translation - along, T.translation + along], [0.0, 0.0, -1.0])
+    made(arm, [walls, walls], settings).step(q, T)
+    controller.step(q, T)
 
 
 def _answers() -> Iterator[tuple[str, ArrayLike, ArrayLike]]:

@@ -19,6 +19,7 @@ RANGES = {
     "force_cap": (0.0, 1e6, " N"),
     "tip_speed": (1e-9, inf, " m/s"),
     "trocar": (0.0, 1.0, " m"),
+    "approach": (1e-3, 1e6, " /s"),
 }
 
 
@@ -41,6 +42,9 @@ class Settings:
             the meshes whose rule is "certified". Other rules and corridors hold the tip only.
         trocar: with guard "tool", the mesh is exempt for the shaft in a ball of this radius around
             the remote centre, where it enters [m]; 0: nowhere. A radius up to the shaft's is none.
+        approach: limit η on the speed of approach [1/s]: a point that is d farther away than a
+            plane lets it be comes nearer to it by at most η·d·dt in a tick, as with vector-field
+            inequalities. None: it may come up to the plane in one tick.
 
     Raises:
         ValueError: a value that is no number or out of its range, or an unknown solver or guard.
@@ -57,6 +61,7 @@ class Settings:
     solver: str = "osqp"
     guard: str = "tip"
     trocar: float = 0.0
+    approach: float | None = None
 
     def __post_init__(self) -> None:
         check_solver(self.solver)
@@ -64,6 +69,8 @@ class Settings:
             raise ValueError(f"unknown guard {self.guard!r}: choose one of {', '.join(GUARDS)}")
         for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
+            if value is None and name == "approach":
+                continue
             try:
                 # A float whatever kind of number came: kernels are compiled anew for any other.
                 number = float(value)

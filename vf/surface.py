@@ -5,77 +5,31 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vf.adjacency import adjacency, closedness, fill_normals
-from vf.planes import LARGEST, ROUND, FloatArray, IntArray, checked_length, checked_point
+from vf.adjacency import adjacency, closedness, doubles_of, fill_normals
+from vf.planes import (
+    LARGEST,
+    ROUND,
+    FloatArray,
+    IntArray,
+    checked_blend,
+    checked_length,
+    checked_point,
+)
 from vf.tree.build import build
-from vf.tree.nearest import PATIENCE, UNFINISHED, nearest_face, nearest_face_freely
+from vf.tree.contacts import COMPILED, Contacts
+from vf.tree.forms import Family, Form, fresh_number, read_only
+from vf.tree.nearest import PATIENCE, UNFINISHED, nearest_face_freely
+from vf.tree.pdtree import Tree
+from vf.tree.shapes import fill_boxes, fill_corners
 from vf.tree.winding import Moments, moments, winding_number
-from vf.tree.within import closest_points, within_ball
 
-
-class _Compiled:
-    """The kernels of single queries, compiled for fixed types at the first use.
-
-    Numba checks every argument of every call, a third of the time of a kernel of microseconds.
-    Functions compiled here are not checked: the callers guarantee types and contiguous arrays.
-    """
-
-    @cached_property
-    def nearest(self) -> Callable[..., tuple[float, int]]:
-        return nearest_face.compile("(f8[:, ::1], f8[:, ::1], f8[::1], f8, i8, i8)")
-
-    @cached_property
-    def within(self) -> Callable[..., int]:
-        return within_ball.compile("(f8[:, ::1], f8[:, ::1], i8[::1], f8[::1], f8, i8[::1])")
-
-
-_COMPILED = _Compiled()
-
-
-class Contacts:
-    """Triangles cut by a closed ball, one row each, in no particular order.
-
-    Closest points, features and distances are computed at their first use.
-
-    Attributes:
-        triangles: (k,) faces, the caller's indices.
-        points: (k, 3) closest points to the centre [m].
-        features: (k,) values of `vf.Feature`.
-        distances: (k,) [m].
-    """
-
-    def __init__(self, surface: Surface, x: FloatArray, triangles: IntArray) -> None:
-        """Of the ball around x (3,), which must not change any more."""
-        self._surface = surface
-        self._x = x
-        self.triangles = triangles
-
-    def __len__(self) -> int:
-        return len(self.triangles)
-
-    @cached_property
-    def _closest(self) -> tuple[FloatArray, NDArray[np.int8], FloatArray]:
-        k = len(self.triangles)
-        found = np.empty((k, 3)), np.empty(k, dtype=np.int8), np.empty(k)
-        surface = self._surface
-        closest_points(surface.vertices, surface.faces, self.triangles, self._x, *found)
-        return found
-
-    @property
-    def points(self) -> FloatArray:
-        return self._closest[0]
-
-    @property
-    def features(self) -> NDArray[np.int8]:
-        return self._closest[1]
-
-    @property
-    def distances(self) -> FloatArray:
-        return self._closest[2]
+_NONE = np.empty(0, dtype=np.int64)
+_NO_CORNERS = read_only(np.empty((0, 9)))
 
 
 class Surface:
@@ -178,7 +132,43 @@ class Surface:
         return digest.hexdigest()
 
     def __repr__(self) -> str:
-        return f"Surface({len(self.faces):,} triangles, {len(self.vertices):,} vertices)"
+        name = type(self).__name__
+        return f"{name}({len(self.faces):,} triangles, {self._count:,} vertices)"
+
+    @property
+    def searched(self) -> Tree:
+        """What a controller needs of `tree`; where the shape changes, without the triangles."""
+        return self.tree
+
+    @property
+    def _count(self) -> int:
+        return len(self.vertices)
+
+    @cached_property
+    def _family(self) -> Family:
+        doubles = (_NONE, _NONE) if self._manifold else doubles_of(self.vertices)
+        return Family(self.tree, self.faces, self.vertices, *doubles)
+
+    @property
+    def _form(self) -> Form:
+        """Where it is on its way to another shape."""
+        return self._family.rest
+
+    def deforming(self, vertices_after: ArrayLike) -> DeformingSurface:
+        """This surface on its way to another shape with the same faces.
+
+        Prepares the mesh at the first call (some 40 ms a million triangles); after that a call
+        takes the new vertices over, and fits the boxes of the PD-tree to both shapes, with the
+        interpreter lock released: it may run beside a control loop.
+
+        Args:
+            vertices_after: (n, 3) where the vertices go [m], in the order of `vertices`.
+
+        Raises:
+            ValueError: another shape than that of `vertices`, a vertex is not finite, or one of a
+                face is farther than `planes.LARGEST` from the origin.
+        """
+        return DeformingSurface(self, vertices_after)
 
     def within(self, x: ArrayLike, radius: float) -> Contacts:
         """Every triangle cut by the closed ball of `radius` [m] around x (3,)."""
@@ -192,11 +182,11 @@ class Surface:
         room = 2048
         while True:
             triangles = np.empty(room, dtype=np.int64)
-            k = _COMPILED.within(tree[0], tree[1], tree[2], p, radius, triangles)
+            k = COMPILED.within(tree[0], tree[1], tree[2], p, radius, triangles)
             if k < 0:
                 checked_point(x)
             if k <= room:
-                return Contacts(self, p, triangles[:k])
+                return Contacts(self.vertices, self.faces, p, triangles[:k])
             room = k
 
     def nearest(self, x: ArrayLike, limit: float = np.inf) -> tuple[float, int, FloatArray]:
@@ -208,7 +198,7 @@ class Surface:
         if point.shape != (3,):
             checked_point(x)
         tree, guess = self.tree, self._guess
-        distance, row = _COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
+        distance, row = COMPILED.nearest(tree[0], tree[1], point, limit, guess, PATIENCE)
         if row == UNFINISHED:  # much of the surface is at the same distance
             distance, row = nearest_face_freely(tree[0], tree[1], point, float(limit), guess)
         if row < 0:
@@ -217,12 +207,17 @@ class Surface:
         return distance, tree[2].item(row), point
 
     @cached_property
-    def _solid(self) -> tuple[bool, Moments, NDArray[np.bool_]]:
+    def _topology(self) -> tuple[bool, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether it is closed, which faces count (m,), and which repeat others (m,)."""
         if self._manifold:
             none = np.zeros(len(self.faces), dtype=bool)
-            return True, moments(self.tree, ~none), none
+            return True, ~none, none
         proper, repeated, closed = closedness(self.vertices, self.faces)
-        return closed, moments(self.tree, proper & ~repeated), repeated
+        return closed, proper & ~repeated, repeated
+
+    @cached_property
+    def _moments(self) -> Moments:
+        return moments(self.tree, self._topology[1])
 
     @property
     def closed(self) -> bool:
@@ -233,12 +228,12 @@ class Surface:
         inside out is closed; one with single faces flipped is not, because next to those the
         winding number says inside where there is none.
         """
-        return self._solid[0]
+        return self._topology[0]
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
         """(m,) whether a face has the corners of an earlier one, either way round."""
-        return self._solid[2]
+        return self._topology[2]
 
     @cached_property
     def distance_error(self) -> float:
@@ -248,7 +243,7 @@ class Surface:
     def winding(self, x: ArrayLike) -> float:
         """Generalised winding number of the surface around x (3,), repeated faces counted once."""
         p = checked_point(x)
-        return float(winding_number(self.tree, self._solid[1], p[0], p[1], p[2]))
+        return float(winding_number(self.tree, self._moments, p[0], p[1], p[2]))
 
     def inside(self, x: ArrayLike) -> bool:
         """Whether x (3,) is inside: |winding number| of 1, and only if the surface is closed.
@@ -259,6 +254,130 @@ class Surface:
         export it, has it, and so has the intersection of two bodies.
         """
         return self.closed and 0.5 < abs(self.winding(x)) < 1.5
+
+
+class _Relative(Surface):
+    """A surface with the faces of another one: what depends on its shape is made when asked for."""
+
+    _blend = 0.0
+
+    def __init__(self, kin: Surface, before: Form, after: Form) -> None:
+        self._family = kin._family
+        self._before, self._after = before, after
+        self.faces, self.edges, self.neighbours = kin.faces, kin.edges, kin.neighbours
+        self.median_edge = kin.median_edge
+        self._manifold = kin._manifold
+        closed, counted, repeated = kin._topology
+        self._topology = closed and before.together and after.together, counted, repeated
+        self.rounding = ROUND * max(before.largest, after.largest) + 1e-300
+        self._guess = -1
+
+    @property
+    def _count(self) -> int:
+        return len(self._before.kept)
+
+    @cached_property
+    def vertices(self) -> FloatArray:  # type: ignore[override]
+        return self._at(self._blend)
+
+    def _at(self, blend: float) -> FloatArray:
+        vertices = np.empty((self._count, 3))
+        moved = (1.0 - blend) * self._before.kept + blend * self._after.kept
+        vertices[self._family.skeleton.order] = moved
+        return read_only(vertices)
+
+    @cached_property
+    def size(self) -> float:  # type: ignore[override]
+        return float(np.linalg.norm(np.ptp(_used(self.vertices, self.faces), axis=0)))
+
+    @cached_property
+    def normals(self) -> FloatArray:  # type: ignore[override]
+        normals = np.empty((len(self.faces), 3))
+        fill_normals(self.vertices, self.faces, normals, np.empty((len(self.faces), 3)))
+        return read_only(normals)
+
+    @cached_property
+    def tree(self) -> Tree:  # type: ignore[override]
+        m = len(self.faces)
+        corners, errors = np.empty((m, 9)), np.empty(m)
+        before, after = self._before.kept, self._after.kept
+        rows = self._family.skeleton.faces
+        fill_corners(rows, before, after, self._blend, corners, errors)
+        nodes = self._family.nodes.copy()
+        fill_boxes(self._before.boxes, self._after.boxes, self._blend, nodes)
+        return Tree(read_only(nodes), read_only(corners), self._family.order, read_only(errors))
+
+
+class DeformingSurface(_Relative):
+    """A mesh on its way from one shape to another: `Surface.deforming` makes it.
+
+    At a blend τ its vertices are at (1 − τ)·`vertices` + τ·`vertices_after`. As a surface it is
+    what it is at blend 0: that is where its queries look, where fixtures without a `vf.Motion`
+    guard it, and what its attributes describe. They are made when they are first asked for. The
+    kinds of edges and the median edge are those of the surface that it was made from; no promise
+    depends on them. It is closed if that one is, and vertices that were at one place there still
+    are, in both shapes.
+
+    Attributes:
+        vertices_after: (n, 3) float64 [m].
+        shifts: (k, 6) of `shapes.fill_shifts` [m].
+        forms: numbers that no other shape has: of its shape at blend 0, of those between, and of
+            its shape at blend 1, which is the first of the interval that follows.
+    """
+
+    def __init__(self, kin: Surface, vertices_after: ArrayLike) -> None:
+        """From the shape that `kin` goes on from."""
+        family, before = kin._family, kin._form
+        super().__init__(kin, before, family.form(vertices_after))
+        self.forms = (before.number, fresh_number(), self._after.number)
+        self.shifts = family.shifts(before, self._after)
+        self._shown: tuple[float, Surface] | None = None
+
+    @property
+    def _form(self) -> Form:
+        return self._after
+
+    @cached_property
+    def vertices_after(self) -> FloatArray:
+        return self._at(1.0)
+
+    @property
+    def searched(self) -> Tree:
+        return Tree(self._family.nodes, _NO_CORNERS, self._family.order, _NO_CORNERS[:, 0])
+
+    @property
+    def parts(self) -> tuple[NDArray[Any], ...]:
+        """Faces of the skeleton, the vertices of both shapes in its order, and their boxes."""
+        before, after = self._before, self._after
+        return self._family.skeleton.faces, before.kept, after.kept, before.boxes, after.boxes
+
+    def follows(self, other: Surface) -> bool:
+        """Whether it is a shape of the same mesh, made by `deforming` from one surface."""
+        return vars(other).get("_family") is self._family
+
+    def shape(self, blend: float) -> Surface:
+        """The surface as it is at a blend from 0 to 1. The last one asked for is kept.
+
+        Raises:
+            ValueError: the blend is not from 0 to 1.
+        """
+        share = checked_blend("blend", blend)
+        shown = self._shown
+        if shown is None or shown[0] != share:
+            shown = self._shown = share, _Shape(self, share)
+        return shown[1]
+
+
+class _Shape(_Relative):
+    """A deforming surface at one blend."""
+
+    def __init__(self, whole: DeformingSurface, blend: float) -> None:
+        super().__init__(whole, whole._before, whole._after)
+        self._blend = blend
+
+    @cached_property
+    def _form(self) -> Form:
+        return self._family.form(self.vertices)
 
 
 def _used(vertices: FloatArray, faces: IntArray) -> FloatArray:

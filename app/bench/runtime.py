@@ -64,6 +64,13 @@ class Cell:
     radii: list[float] = field(default_factory=list)
     tips: list[FloatArray] = field(default_factory=list)
 
+    def clear(self) -> None:
+        """Remove all samples."""
+        for column in (
+            self.total, self.parts, self.planes, self.states, self.radii, self.tips, self.statuses,
+        ):  # fmt: skip
+            column.clear()
+
     def truncate(self) -> None:
         """Remove the incomplete samples of an interrupted tick."""
         columns: tuple[list[Any], ...] = (

@@ -236,7 +236,7 @@ def _serve_requests(browser: Any, url: str) -> None:
     tab.add_init_script(_HOOK)
     tab.goto(url)
     tab.wait_for_selector("canvas", timeout=60_000)
-    tab.get_by_text("Ready: drag the gizmo").wait_for(timeout=60_000)
+    tab.get_by_text("Ready: drag the tool").wait_for(timeout=60_000)
     answer(ready=True)
     for line in sys.stdin:
         order = json.loads(line)

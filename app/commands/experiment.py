@@ -1,4 +1,4 @@
-"""The paper's experiments with a simulated operator: tracing, cutting, power, replay."""
+"""The paper's experiments with a simulated operator: tracing, cutting, margins, power, replay."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import dataclasses
 import json
 import pathlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
 from app.commands import interrupted
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
-from app.kinds import Maybe, OneOf, Path, Whole
+from app.kinds import Maybe, Number, OneOf, Path, Whole
 from app.options import Checked, like, option
 from app.settings import Options
 from app.studies.experiments.description import RULES, WORKERS, Trial
@@ -27,6 +27,7 @@ PROGRAM = "vf-sandbox experiment"
 BROKEN = 1
 ENOUGH = 0.95  # least share of the seeds with a significant improvement
 GUARDS = RULES[1:]
+MARGIN_TRIALS = 20
 
 MISSING = "pip install 'vf-sandbox[experiments,study]'"
 
@@ -61,6 +62,20 @@ class Tracing(Experiment):
 @dataclass(frozen=True)
 class Cutting(Experiment):
     """Cut the skull with and without the fixture (section V-C): path deviation, penetration."""
+
+
+@dataclass(frozen=True)
+class Margins(Experiment):
+    """Cut without and with the margin map of the registration, in pairs: injuries and the price.
+
+    The same operator, skull, registration and random numbers both times. Injuries are of the true
+    inner surface; the guard knows where the registration puts it.
+    """
+
+    trials: int | None = option(Maybe(Whole(1, 10_000)), None, "Pairs of cuts; 20 if not given.")
+    factor: float = option(
+        Number(0.1, 10.0), 2.0, "Factor of the margins over the target registration error."
+    )
 
 
 @dataclass(frozen=True)
@@ -103,6 +118,7 @@ class Replay(Checked):
     length: float | None = like(
         Trial, "length", 30e-3, "How much of the planned cut, as in the experiment."
     )
+    margin: float = like(Trial, "margin")
     trial: pathlib.Path | None = option(
         Maybe(Path()), None, "A trial's file from a study, instead of all the above."
     )
@@ -111,9 +127,8 @@ class Replay(Checked):
 
 
 def _compare(options: Experiment) -> int:
-    from app.studies.results import analysis, published, report
+    from app.studies.results import published, report
 
-    console = new_console()
     experiment = "tracing" if isinstance(options, Tracing) else "cutting"
     usual = published.TRACING_TRIALS if experiment == "tracing" else published.CUTTING_TRIALS
     trials = [
@@ -124,13 +139,36 @@ def _compare(options: Experiment) -> int:
         for number in range(options.trials or usual)
         for rule in ("off", options.rule)
     ]  # fmt: skip
+    return _reported(trials, experiment, options.out, report)
+
+
+def _margins(options: Margins) -> int:
+    from app.studies.results import margins
+
+    trials = [
+        Trial(
+            "cutting", options.rule, number, mesh=options.mesh, noise=options.noise,
+            width=options.width, seed=options.seed, rate=options.rate, length=options.length,
+            margin=factor,
+        )
+        for number in range(options.trials or MARGIN_TRIALS)
+        for factor in (0.0, options.factor)
+    ]  # fmt: skip
+    return _reported(trials, "margins", options.out, margins)
+
+
+def _reported(trials: list[Trial], experiment: str, out: pathlib.Path, report: Any) -> int:
+    """Run pairs of trials, show and write the report of a module with `show` and `write`."""
+    from app.studies.results import analysis
+
+    console = new_console()
     outcomes = _shown(trials)
     whole = len(outcomes) == len(trials)
-    outcomes = outcomes[: len(outcomes) // 2 * 2]  # complete pairs without and with the fixture
+    outcomes = outcomes[: len(outcomes) // 2 * 2]  # complete pairs
     if not outcomes:
         return interrupted(f"{PROGRAM} {experiment}", "before a trial was done in both modes")
     report.show(outcomes, console)
-    written = report.write(outcomes, options.out)
+    written = report.write(outcomes, out)
     for path in written:
         console.print(f"written: {escape(str(path))}")
     if not any(path.suffix == ".html" for path in written):
@@ -149,7 +187,8 @@ def _shown(trials: list[Trial]) -> list[Outcome]:
     with contextlib.suppress(KeyboardInterrupt), progress(counted=True) as bar:
         task = bar.add_task("preparing", total=len(trials))
         for trial in trials:
-            bar.update(task, description=f"trial {trial.number + 1}, rule {trial.rule}")
+            more = f", margin {trial.margin:g}" if trial.margin else ""
+            bar.update(task, description=f"trial {trial.number + 1}, rule {trial.rule}{more}")
             outcomes.append(protocol.run(trial))
             bar.advance(task)
     return outcomes
@@ -235,7 +274,7 @@ def _replay(options: Replay) -> int:
     else:
         trial = Trial(
             options.experiment, options.rule, options.number, seed=options.seed,
-            rate=options.rate, length=options.length,
+            rate=options.rate, length=options.length, margin=options.margin,
         )  # fmt: skip
     with console.status(f"doing trial {escape(trial.key)}"):
         recorded = protocol.record(trial)
@@ -258,6 +297,7 @@ def _replay(options: Replay) -> int:
 KINDS = {
     "tracing": (Tracing, _compare),
     "cutting": (Cutting, _compare),
+    "margins": (Margins, _margins),
     "power": (Power, _power),
     "calibrate": (Calibrate, _calibrate),
     "replay": (Replay, _replay),

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 PROGRAM = "vf-sandbox study"
 BROKEN = 1
 COLUMNS = (
-    "trials", "|PD| [mm]", "CPD [mm]", "SAL", "time [s]", "TRE [mm]", "violations", "unfinished",
+    "trials", "|PD| [mm]", "CPD [mm]", "SAL", "time [s]", "TRE [mm]", "injured", "deepest [mm]",
+    "bone left [mm]", "violations", "unfinished",
 )  # fmt: skip
 MISSING = "pip install 'vf-sandbox[study]', or --workers 0"
 
@@ -36,7 +37,7 @@ def _listed(name: str) -> Kind:
 
 @dataclass(frozen=True)
 class Study(Checked):
-    """Run the experiments over a grid: operators × skulls × rules × noise of the registration.
+    """Run the experiments over a grid: operators × skulls × rules × noise × margins.
 
     Every trial is written to its own file as it finishes; the same command goes on where it
     stopped. A trial's numbers do not depend on how many workers there are. Needs the extra: study.
@@ -56,6 +57,10 @@ class Study(Checked):
     noise: tuple[float, ...] = option(
         _listed("noise"), (0.35e-3,),
         "Fiducial localisation errors (root mean square), joined by commas.",
+    )  # fmt: skip
+    margin: tuple[float, ...] = option(
+        _listed("margin"), (0.0,),
+        "Factors of the margin map over the target registration error, joined by commas; 0: none.",
     )  # fmt: skip
     trials: int = option(Whole(1, 10_000), 1, "Trials of each combination.")
     seed: int = like(Trial, "seed")
@@ -112,6 +117,7 @@ def run(options: Study) -> int:
         meshes=options.meshes,
         rules=options.rules,
         noise=options.noise,
+        margins=options.margin,
         trials=options.trials,
         seed=options.seed,
         rate=options.rate,
@@ -129,12 +135,12 @@ def run(options: Study) -> int:
 def _report(found: Collected, options: Study, console: Console) -> None:
     """Print the summary, and write it as CSV."""
     rows = [(*cell, *_summary(some)) for cell, some in _cells(found.outcomes)]
-    names = ("experiment", "skull", "noise [mm]", "rule", *COLUMNS)
+    names = ("experiment", "skull", "noise [mm]", "rule", "margin", *COLUMNS)
     show_table(
         console,
         [Column(name, left=k in (0, 1, 3)) for k, name in enumerate(names)],
         [[f"{x:.3g}" if isinstance(x, float) else str(x) for x in row] for row in rows],
-        labels=4,
+        labels=5,
         title=f"{count(len(found.outcomes), 'trial')}, seed {options.seed}, {found.elapsed:.0f} s",
     )
     path = options.out / "summary.csv"
@@ -176,7 +182,7 @@ def _cells(outcomes: Sequence[Outcome]) -> list[tuple[tuple[object, ...], list[O
     cells: dict[tuple[object, ...], list[Outcome]] = {}
     for outcome in outcomes:
         trial = outcome.trial
-        cell = (trial.experiment, trial.mesh, 1e3 * trial.noise, trial.rule)
+        cell = (trial.experiment, trial.mesh, 1e3 * trial.noise, trial.rule, trial.margin)
         cells.setdefault(cell, []).append(outcome)
     return list(cells.items())
 
@@ -193,6 +199,9 @@ def _summary(outcomes: list[Outcome]) -> tuple[object, ...]:
         float(np.mean([o.sal for o in outcomes])),
         float(np.mean([o.duration for o in outcomes])),
         1e3 * float(np.mean([o.tre for o in outcomes])),
+        sum(o.injured > 0 for o in outcomes),
+        1e3 * max(o.deepest for o in outcomes),
+        -float(analysis.penetrations(outcomes, signed=True).mean()),
         analysis.violations(outcomes),
         sum(not o.finished for o in outcomes),
     )

@@ -13,9 +13,11 @@ from rich.console import Console
 
 from app import choices
 from app.commands import interrupted
+from app.commands._verify_motion import run_moving
 from app.console import Column, count, progress, show_table
 from app.console import console as new_console
 from app.kinds import SEEDS, File, Maybe, Number, OneOf, Repeated, Switch, Whole
+from app.motion.declared import Tracker
 from app.options import Checked, like, option
 from app.settings import DECLARED, Options
 from app.words import OptionError, format_length
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 PROGRAM = "vf-sandbox verify"
 PASSED, BROKEN = 0, 1
 DAMAGES = ("all", *choices.DAMAGES)
+MOTIONS = ("rigid", "deforming", "both", "all")
 LEAK_EDGES = (0.3, 1.0, 3.0)
 # Standoff and tip radius of the leak queries, in turn [m].
 LEAK_TOOLS = ((20e-6, 0.0), (0.0, 0.0), (1e-3, 0.0), (20e-6, 5e-4), (0.0, 1e-4))
@@ -86,7 +89,8 @@ class Verify(Checked):
     rule: str = like(Options, "rule", about="Which planes guard the tool.")
     radius: tuple[float | None, ...] = option(
         Repeated(DECLARED["radius"].kind), (),
-        "Radius of the motion sphere, may be repeated; 0.5mm and 5mm if not given.",
+        "Radius of the motion sphere, may be repeated; 0.5mm and 5mm if not given, with --motion "
+        "auto and 5mm.",
     )  # fmt: skip
     steps: int = option(
         Whole(0, 10**12), 20_000,
@@ -108,6 +112,17 @@ class Verify(Checked):
         "10 kHz in turn; tool: all of them are guarded, tip: the tip alone. Not given: the tip is "
         "guarded, aimed and judged.",
     )  # fmt: skip
+    motion: str | None = option(
+        Maybe(OneOf("motion", MOTIONS)), None,
+        "Let the mesh move to 0.2 m/s and 2 rad/s, deform to 0.1 m/s, both, or all three, at 50, "
+        "200 and 1,000 Hz in turn, and judge by its true motion; not given: it rests.",
+    )  # fmt: skip
+    tracker: Tracker | None = like(
+        Options, "tracker",
+        about="With --motion rigid: how often a tracker sees the mesh [Hz]; off: the guard knows "
+        "where it is. What follows directly is of the tracker: --latency, --noise, --dropouts, "
+        "--bound, which nothing is faster than, …",
+    )  # fmt: skip
     outside: bool = option(
         Switch(), False,
         "Start and ask only outside the undamaged mesh, which the paper's rule takes for granted.",
@@ -122,6 +137,12 @@ class Verify(Checked):
         super().__post_init__()
         if self.steps == 0 and self.queries == 0:
             raise OptionError("nothing to do: steps and queries are both 0")
+        if self.tracker is not None and self.motion != "rigid":
+            raise OptionError("a tracker is of --motion rigid")
+        if self.motion is not None and (self.queries or self.outside or self.tip_radius):
+            raise OptionError(
+                "motion: there are no --queries, no --outside and no --tip-radius with it"
+            )
         if self.guard is not None and (self.rule != "certified" or self.outside or self.tip_radius):
             raise OptionError(
                 "guard: the whole instrument is verified with rule certified, without --outside "
@@ -150,7 +171,11 @@ def run(options: Verify) -> int:
     else:
         sources = {options.mesh: meshes.arrays(options.mesh, unit=options.unit)}
     damages = kinds() if options.damage == "all" else (options.damage,)
-    radii: tuple[float | None, ...] = options.radius or (5e-4, 5e-3)
+    # What moves fast overtakes a tool at once whose motion sphere is small.
+    small = 5e-4 if options.motion is None else None
+    radii: tuple[float | None, ...] = options.radius or (small, 5e-3)
+    if options.motion is not None:
+        return run_moving(options, sources, damages, radii, console, _show_places, PROGRAM)
     if options.guard is not None:
         return _run_guarded(options, options.guard, sources, damages, radii, console)
     arm = robots.load(options.robot)

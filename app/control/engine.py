@@ -10,14 +10,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+import meshes
 import vf
 from app.control.autopilot import Script
-from app.control.messages import Command, LoopStats, Telemetry
+from app.control.messages import Command, LoopStats, State, Telemetry
 from app.devices import protocols
 from app.devices.simulated import SimulatedArm
 from app.motion.course import Course
-from app.motion.movement import Movement
-from app.settings import Options, Structure
+from app.motion.movement import Guarded, Movement
+from app.motion.refits import Guide
+from app.settings import Options
+from app.structure import Structure
 from robots import Arm
 
 log = logging.getLogger(__name__)
@@ -43,6 +46,7 @@ class Plant:
         scene_options: the settings its scene was built with, which may differ from `options`.
         structures: the surfaces beside the anatomy, arm base frame, as in `options`.
         courses: how each of these moves, the anatomy first; None: it stands still. Empty: all do.
+        added: margins that a registration adds to those of all structures; None: nothing.
     """
 
     arm: Arm
@@ -59,6 +63,7 @@ class Plant:
     scene_options: Options
     structures: tuple[vf.Surface, ...] = ()
     courses: tuple[Course | None, ...] = ()
+    added: meshes.MarginMap | None = None
 
     @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
@@ -73,6 +78,16 @@ class Plant:
     def movement(self) -> Movement:
         """How the structures move; for one thread."""
         return Movement(self.courses, self.scene_options.tracker)
+
+    def guide(self) -> Guide:
+        """Tells the controller how they move; for one thread."""
+        return Guide(self.movement(), self.surfaces)
+
+    def told(self, guide: Guide, start: float, end: float) -> Guarded:
+        """What the controller is told of the tick between two phases [s]."""
+        return guide.during(
+            self.controller, [own.guarded for own in self.options.anatomy], start, end
+        )
 
     def motions(self, of_structures: Sequence[vf.Motion | None]) -> list[vf.Motion | None]:
         """One for each of the controller's fixtures, from those of all structures."""
@@ -106,33 +121,6 @@ class Orders:
     lock_orientation: bool = False
     moving: bool = True
     pace: float = 1.0
-
-
-@dataclass(frozen=True)
-class State:
-    """The engine's state between two ticks, besides the orders it saw last.
-
-    Attributes:
-        q: (n,) joints.
-        tick: number of the last tick.
-        steps: how many of the single steps ordered are done.
-        silent: ticks since the newest command arrived.
-        autopilot_since: tick at which the autopilot was switched on; None: it is off.
-        target: the proxy of the last tick.
-        stale: whether the last tick held because the command was too old.
-        step: the controller's last result.
-        phase: time of the motion of structures [s].
-    """
-
-    q: NDArray[np.float64]
-    tick: int
-    steps: int
-    silent: int
-    autopilot_since: int | None
-    target: pin.SE3 | None
-    stale: bool
-    step: vf.Step | None = None
-    phase: float = 0.0
 
 
 def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) -> bool:
@@ -179,7 +167,7 @@ class Engine:
         self._failed = False
         self._known = True  # whether the arm's joints are known
         self._origin: pin.SE3 | None = None  # the tip's pose when the last tick began
-        self._movement = self._plant.movement()
+        self._guide = self._plant.guide()
         self._phase = self._phase_before = 0.0
         self._lost = False
         self.failures = 0  # ticks in which the controller raised: the tool holds, status HELD
@@ -278,16 +266,13 @@ class Engine:
         elif new.scene != old.scene:
             self._measure()
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)
-            if (
-                not stays
-                or not new.is_free(new.arm.tip(self._q).translation)
-                or _stuck(new, self._q)
-            ):
+            free = stays and new.is_free(new.arm.tip(self._q).translation)
+            if not free or _stuck(new, self._q):
                 self._move_to(_frozen(new.q0))
             self._autopilot_since = None
             self._phase = self._phase_before = 0.0
         if new.scene != old.scene:
-            self._movement = new.movement()
+            self._guide = new.guide()
         self._plant = new
         self._tip = new.arm.tip(self._q)
         self._failed = False
@@ -335,12 +320,12 @@ class Engine:
 
     def _told(self, pace: float) -> Told:
         """Let the structures move for a tick; returns what the controller is told of it."""
-        if not self._movement.moves:
+        if not self._guide.movement.moves:
             return ()
         before = self._phase_before = self._phase
         self._phase = before + pace * self._plant.dt
         try:
-            told = self._movement.during(before, self._phase)
+            told = self._plant.told(self._guide, before, self._phase)
         except Exception:
             self._lost = True  # where they are is not known
             if not self._failed:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import vf
 from app.control.clock import Clock, Timing
-from app.control.engine import Orders, State
+from app.control.engine import Orders
 from app.control.mailbox import Mailbox
-from app.control.messages import Telemetry
+from app.control.messages import State, Telemetry
 from app.devices.report import Report
 from app.recording.capture import Tape
 from app.refused import Refused

@@ -15,10 +15,10 @@ from typing import Protocol
 
 import vf
 from app.control.clock import Clock, Timing
-from app.control.engine import Engine, Orders, State
+from app.control.engine import Engine, Orders
 from app.control.host import Host
 from app.control.mailbox import Mailbox
-from app.control.messages import Telemetry
+from app.control.messages import State, Telemetry
 from app.control.priority import CONTROL_PRIORITY, raise_thread_priority
 from app.devices import protocols
 from app.devices.report import Report

@@ -78,3 +78,30 @@ class Telemetry:
     phase: float = 0.0
     phase_before: float = 0.0
     lost: bool = False
+
+
+@dataclass(frozen=True)
+class State:
+    """The engine's state between two ticks, besides the orders it saw last.
+
+    Attributes:
+        q: (n,) joints.
+        tick: number of the last tick.
+        steps: how many of the single steps ordered are done.
+        silent: ticks since the newest command arrived.
+        autopilot_since: tick at which the autopilot was switched on; None: it is off.
+        target: the proxy of the last tick.
+        stale: whether the last tick held because the command was too old.
+        step: the controller's last result.
+        phase: time of the motion of structures [s].
+    """
+
+    q: NDArray[np.float64]
+    tick: int
+    steps: int
+    silent: int
+    autopilot_since: int | None
+    target: pin.SE3 | None
+    stale: bool
+    step: vf.Step | None = None
+    phase: float = 0.0

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+import meshes
 import vf
 from app.control.autopilot import Script
 from app.control.engine import Plant, guarded
 from app.motion.course import Course
 from app.settings import Options
+from app.structure import Structure
 from robots import Arm
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +38,7 @@ class Description:
     scene_options: Options
     structures: tuple[vf.Surface, ...] = ()
     courses: tuple[Course | None, ...] = ()
+    added: meshes.MarginMap | None = None
 
     @property
     def surfaces(self) -> tuple[vf.Surface, ...]:
@@ -56,6 +59,7 @@ def describe(plant: Plant) -> Description:
         scene_options=plant.scene_options,
         structures=plant.structures,
         courses=plant.courses,
+        added=plant.added,
     )
 
 
@@ -68,8 +72,8 @@ def assemble(description: Description, arm: Arm) -> Plant:
     options, surface = description.options, description.surface
     fixtures: list[vf.Fixture] = [
         vf.MeshFixture(
-            one, options.rule, options.radius, margin=own.margin or 0.0, guard=own.guard,
-            name=str(own.name),
+            one, options.rule, options.radius, margin=margin_of(own, one, description.added),
+            guard=own.guard, name=str(own.name),
         )
         for own, one in guarded(options, description.surfaces)
     ]  # fmt: skip
@@ -102,7 +106,16 @@ def assemble(description: Description, arm: Arm) -> Plant:
         scene_options=description.scene_options,
         structures=description.structures,
         courses=description.courses,
+        added=description.added,
     )
+
+
+def margin_of(
+    own: Structure, surface: vf.Surface, added: meshes.MarginMap | None
+) -> float | FloatArray:
+    """The margin of a structure [m], or with a registration that of each of its vertices (n,)."""
+    margin = own.margin or 0.0
+    return margin if added is None else margin + added.at(surface.vertices)
 
 
 def corridor(surface: vf.Surface, path: FloatArray, width: float) -> vf.CorridorFixture:

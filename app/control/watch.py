@@ -21,6 +21,8 @@ from app.control.engine import Orders, Plant
 from app.control.messages import Telemetry
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.judges.meeting import Meeting, first_meeting
+from app.motion.deformed import first_of_shapes
+from app.motion.forms import Form
 from app.motion.movement import Movement
 
 log = logging.getLogger(__name__)
@@ -176,10 +178,13 @@ class Watch:
             if not own.guarded:
                 continue
             before, after = [pair[0][k] for pair in poses], [pair[1][k] for pair in poses]
+            form = movement.forms[k]
             ways.append(
                 _Way(
                     str(own.name), surface, _seen_from(before, starts), _seen_from(after, ends),
                     after,
+                    tuple(form.during(*pair) for pair in phases) if form is not None else (),
+                    form,
                 )
             )  # fmt: skip
         return ways
@@ -204,6 +209,8 @@ class _Way:
         name: of the structure.
         starts, ends: (n, 3) of the tip in every tick, in the frame in which the structure rests.
         poses: T_rest_now of the structure at the end of each; empty: it stands still.
+        shapes: between which shapes it is in each, see `app.motion.forms.Form.during`.
+        form: its shapes; None: it keeps its own.
     """
 
     name: str
@@ -211,19 +218,30 @@ class _Way:
     starts: NDArray[np.float64]
     ends: NDArray[np.float64]
     poses: Sequence[pin.SE3 | None] = ()
+    shapes: Sequence[tuple[int, tuple[float, float]]] = ()
+    form: Form | None = None
 
     def since(self, tick: int) -> _Way:
         """From that tick on."""
         return replace(
-            self, starts=self.starts[tick:], ends=self.ends[tick:], poses=self.poses[tick:]
-        )
+            self, starts=self.starts[tick:], ends=self.ends[tick:], poses=self.poses[tick:],
+            shapes=self.shapes[tick:],
+        )  # fmt: skip
+
+    def first(self, radius: float) -> Meeting | None:
+        """The first tick in which a tip of this radius [m] comes to meet the structure."""
+        if self.form is not None:
+            return first_of_shapes(
+                self.surface, self.form, self.shapes, self.starts, self.ends, radius
+            )
+        return first_meeting(self.surface, self.starts, self.ends, radius)
 
     def meetings(self, radius: float) -> set[int]:
         """All ticks in which a tip of this radius [m] comes to meet the structure."""
         found: set[int] = set()
         first = 0
         while first < len(self.starts):
-            met = first_meeting(self.surface, self.starts[first:], self.ends[first:], radius)
+            met = self.since(first).first(radius)
             if met is None:
                 break
             first += met.segment
@@ -247,7 +265,7 @@ def _first(ways: Sequence[_Way], radius: float) -> tuple[_Way, Meeting] | None:
     """The first meeting with any structure that is guarded; None: there is none."""
     first: tuple[_Way, Meeting] | None = None
     for way in ways:
-        met = first_meeting(way.surface, way.starts, way.ends, radius)
+        met = way.first(radius)
         if met is not None and (first is None or met.segment < first[1].segment):
             first = way, met
     return first

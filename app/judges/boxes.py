@@ -62,6 +62,14 @@ def build(vertices: FloatArray, faces: IntArray) -> Boxes:
     return Boxes(vertices, faces, order, boxes, table)
 
 
+def refitted(known: Boxes, vertices: FloatArray) -> Boxes:
+    """Boxes of the same triangles in the same order, whose `vertices` (n, 3) are elsewhere [m]."""
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    boxes = np.empty_like(known.boxes)
+    _fill(vertices, known.faces, known.order, boxes, known.levels)
+    return Boxes(vertices, known.faces, known.order, boxes, known.levels)
+
+
 def near(boxes: Boxes, a: FloatArray, b: FloatArray, reach: float) -> IntArray:
     """Triangles whose box, grown by `reach` [m] on every side, meets the segment from a to b (3,).
 

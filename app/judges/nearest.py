@@ -30,6 +30,15 @@ def nearest(boxes: Boxes, axis: FloatArray, within: float = np.inf) -> tuple[flo
     return float(gap), int(triangle)
 
 
+def signed(boxes: Boxes, points: FloatArray) -> FloatArray:
+    """Distance (n,) [m] of points (n, 3) from a smooth surface, negative behind its triangles.
+
+    Behind is decided by the nearest triangle alone: right where its neighbours are nearly in its
+    plane, on closed surfaces and open ones.
+    """
+    return np.asarray(_signed(*boxes, np.ascontiguousarray(points, dtype=np.float64)))
+
+
 def gaps(boxes: Boxes, arm: robots.Arm, q: ArrayLike, trocar: float = 0.0) -> FloatArray:
     """Distance of each capsule (c,) of an arm at joints q (n,) from the mesh [m]; overlapping: < 0.
 
@@ -96,6 +105,23 @@ def _search(vertices, faces, order, boxes, levels, a, b, within):  # type: ignor
                 best = gap
                 nearest = t
     return (best if nearest >= 0 else np.inf), nearest, doubtful
+
+
+@njit(cache=True, nogil=True)
+def _signed(vertices, faces, order, boxes, levels, points):  # type: ignore[no-untyped-def]
+    found = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        x = points[i]
+        gap, t, _ = _search(vertices, faces, order, boxes, levels, x, x, np.inf)
+        p, q, r = vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]]
+        u, v, w = q - p, r - p, x - p
+        volume = (
+            (u[1] * v[2] - u[2] * v[1]) * w[0]
+            + (u[2] * v[0] - u[0] * v[2]) * w[1]
+            + (u[0] * v[1] - u[1] * v[0]) * w[2]
+        )
+        found[i] = -gap if volume < 0.0 else gap
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -9,11 +9,11 @@ from app.kinds.base import Kind, Switch, shown
 from app.kinds.combined import Listed, Many, Maybe, Repeated, bare
 from app.kinds.links import Device, Share, Time
 from app.kinds.number import SEEDS, Length, Number, Speed, Whole
-from app.kinds.space import FARTHEST, Place, Turn
+from app.kinds.space import FARTHEST, Place, Points, Turn
 from app.kinds.text import Colour, File, Frame, OneOf, Path, Text
 
 __all__ = [
     "FARTHEST", "SEEDS", "Colour", "Device", "File", "Frame", "Kind", "Length", "Listed", "Many",
-    "Maybe", "Number", "OneOf", "Path", "Place", "Repeated", "Share", "Speed", "Switch", "Text",
-    "Time", "Turn", "Whole", "bare", "shown",
+    "Maybe", "Number", "OneOf", "Path", "Place", "Points", "Repeated", "Share", "Speed", "Switch",
+    "Text", "Time", "Turn", "Whole", "bare", "shown",
 ]  # fmt: skip

@@ -10,6 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from app.motion.declared import Motion
+from app.motion.forms import Form
 from app.motion.poses import Poses, read
 from app.motion.waves import WAVES
 
@@ -20,8 +21,9 @@ class Course:
     """The pose of a structure over time, relative to where it rests, arm base frame.
 
     Args:
-        motions: the first acts last, on what the others have moved.
+        motions: rigid ones; the first acts last, on what the others have moved.
         centre: (3,) of the structure, about which it turns [m].
+        form: its shapes; None: it keeps its shape.
         whole: (3,) about which those turn that move all structures (`Motion.of` is None) [m];
             None: the centre.
 
@@ -30,8 +32,13 @@ class Course:
     """
 
     def __init__(
-        self, motions: Sequence[Motion], centre: FloatArray, whole: FloatArray | None = None
+        self,
+        motions: Sequence[Motion],
+        centre: FloatArray,
+        whole: FloatArray | None = None,
+        form: Form | None = None,
     ) -> None:
+        self.form = form
         self._centre = np.array(centre, dtype=np.float64)
         self._whole = self._centre if whole is None else np.array(whole, dtype=np.float64)
         self._motions = tuple(motions)
@@ -59,11 +66,12 @@ class Course:
 
     @property
     def recorded(self) -> bytes:
-        """The poses of its files; empty: it has none."""
+        """What comes from its files; empty: it has none."""
         tables = (poses for _, poses in sorted(self._recorded.items()))
-        return b"".join(
+        known = b"".join(
             array.tobytes() for poses in tables for array in (poses.times, poses.moves, poses.turns)
         )
+        return known if self.form is None else known + self.form.content
 
     def radius(self, vertices: FloatArray) -> float:
         """Distance of the farthest of the vertices (n, 3) from the centre [m]."""
@@ -71,7 +79,7 @@ class Course:
 
     def speed(self, radius: float) -> float:
         """Bound on the speed [m/s] of points up to `radius` [m] from the centre."""
-        total = 0.0
+        total = 0.0 if self.form is None else self.form.fastest()
         far = radius + float(np.linalg.norm(self._whole - self._centre))
         for motion in reversed(self._motions):
             if motion.file is not None:

@@ -11,7 +11,9 @@ from app.kinds import SEEDS, File, Length, Maybe, Number, OneOf, Place, Speed, T
 from app.options import Checked, option
 from app.words import OptionError
 
-KINDS = ("breathing", "heartbeat", "shift", "knock", "poses")
+KINDS = ("breathing", "heartbeat", "shift", "knock", "poses", "deforming", "vertices")
+FROM_FILES = ("poses", "vertices")
+DEFORMING = ("deforming", "vertices")
 PERIODS = {"breathing": 4.0, "heartbeat": 0.85, "shift": 300.0, "knock": 0.1}
 """Usual duration of each kind [s]: of a breath, of a beat, until a shift or knock is over."""
 PREDICTORS = ("off", "periodic")
@@ -27,17 +29,20 @@ class Motion(Checked):
     Attributes:
         kind: *breathing* rests at the end of each expiration; *heartbeat* is one
             bump a beat; *shift* goes steadily and stays; *knock* is a step and stays; *poses*
-            come from a file.
+            come from a file; *deforming* is the cycle of a mesh of `meshes.deforming`;
+            *vertices* come from a file.
         move: farthest displacement, along the axes of the arm's base frame [m].
         turn: farthest turn about the structure's centre, a rotation vector in the base frame [rad].
-        period: of a breath or beat, or the duration of a shift or knock [s]; None: as in `PERIODS`.
+        period: of a breath, beat or cycle, or the duration of a shift or knock [s]; None: as in
+            `PERIODS`, or as the mesh has it.
         after: when it begins [s].
-        file: of *poses*, see `app.motion.poses`.
+        file: of *poses*, see `app.motion.poses`, or of *vertices*, see `app.motion.vertices`.
         of: name of the structure that it moves; None: all of them as one, about the middle of
             the scene's mesh.
+        amplitude: of *deforming*, as a share of what is usual.
 
     Raises:
-        OptionError: an invalid value, *poses* without a file, or a file with another kind.
+        OptionError: an invalid value, one that is of another kind, or a kind without its file.
     """
 
     kind: str = option(OneOf("motion", KINDS), about="Course of the motion in time.")
@@ -51,22 +56,30 @@ class Motion(Checked):
         Maybe(Number(0.02, 1e5, "s"), "usual"), None, "Of a breath or beat; how long a step takes."
     )
     after: float = option(Number(0.0, 1e5, "s"), 0.0, "When it begins.")
-    file: str | None = option(Maybe(File(metavar="FILE")), None, "Of poses: a table (CSV).")
+    file: str | None = option(
+        Maybe(File(metavar="FILE")), None, "Of poses: a table (CSV); of vertices: NumPy."
+    )
     of: str | None = option(Maybe(Text(100)), None, "Name of the structure it moves; else all.")
+    amplitude: float = option(Number(0.0, 3.0), 1.0, "Of deforming: share of what is usual.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.kind == "poses") != (self.file is not None):
-            wants = "needs a file" if self.file is None else "takes no file: only poses do"
-            raise OptionError(f"the motion {self.kind} {wants}")
-        if self.kind == "poses":
-            given = [
-                name
-                for name in ("move", "turn", "period")
-                if getattr(self, name) not in (None, (0.0, 0.0, 0.0))
-            ]
-            if given:
-                raise OptionError(f"the motion poses takes no {given[0]}: its file says it")
+        if (self.kind in FROM_FILES) != (self.file is not None):
+            wants = f"takes no file: only {' and '.join(FROM_FILES)} do"
+            raise OptionError(
+                f"the motion {self.kind} {'needs a file' if self.file is None else wants}"
+            )
+        of_others: tuple[str, ...] = ()
+        if self.kind in FROM_FILES:
+            of_others = ("move", "turn", "period")
+        elif self.kind in DEFORMING:
+            of_others = ("move", "turn")
+        if self.kind != "deforming":
+            of_others += ("amplitude",)
+        for name in of_others:
+            if getattr(self, name) != getattr(Motion, name):
+                said = ": its file says it" if self.kind in FROM_FILES else ""
+                raise OptionError(f"the motion {self.kind} takes no {name}{said}")
 
     @property
     def duration(self) -> float:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 import vf
 from app.motion.course import Course
-from app.motion.declared import Motion, Tracker
+from app.motion.declared import DEFORMING, Motion, Tracker
+from app.motion.forms import Form, form_of
 from app.motion.tracking import Belief, Tracking
 from app.words import OptionError
+from meshes.builtin.deforming import deforming_names
 
 FloatArray = NDArray[np.float64]
 
@@ -26,10 +28,13 @@ class Guarded:
     Attributes:
         motions: one for each structure, from the tick's start to its end; None: it stands still.
         stale: whether a structure was last seen too long ago: the tool holds.
+        shapes: for each structure the pair of shapes it is between, see `Movement.ends`; None: it
+            keeps its shape.
     """
 
     motions: tuple[vf.Motion | None, ...]
     stale: bool
+    shapes: tuple[int | None, ...] = ()
 
 
 class Movement:
@@ -71,6 +76,38 @@ class Movement:
         found = {key: tracking.belief(phase) for key, tracking in self._tracked.items()}
         return [None if course is None else found.get(id(course)) for course in self._courses]
 
+    @property
+    def forms(self) -> tuple[Form | None, ...]:
+        """The shapes of every structure over time; None: it keeps its shape."""
+        return tuple(None if course is None else course.form for course in self._courses)
+
+    def truths(self, phase: float) -> list[FloatArray | None]:
+        """Vertices (n, 3) of every structure that deforms, where it rests [m]."""
+        return [None if form is None else form.vertices(phase) for form in self.forms]
+
+    def believed(self, phase: float) -> list[FloatArray | None]:
+        """The same as the guard believes; None also where it knows."""
+        if self.tracker is None:
+            return [None] * len(self._courses)
+        rate, found = self.tracker.rate, list[FloatArray | None]()
+        for form, belief in zip(self.forms, self.beliefs(phase), strict=True):
+            seen = 0 if belief is None else max(belief.number, 0)
+            found.append(None if form is None else form.vertices(seen / rate))
+        return found
+
+    def ends(self, structure: int, pair: int) -> tuple[FloatArray, FloatArray]:
+        """Vertices (n, 3) of a pair of shapes [m]: where one pair ends the next begins.
+
+        The guard that knows the truth is told of the shapes of the form, one that has a tracker of
+        those at two sightings.
+        """
+        form = self.forms[structure]
+        assert form is not None
+        if self.tracker is None:
+            return form.shape(pair), form.shape(pair + 1)
+        first, last = (max(number, 0) / self.tracker.rate for number in (pair - 1, pair))
+        return form.vertices(first), form.vertices(last)
+
     def margin(self, phase: float) -> float:
         """The largest margin for what is not known of a structure [m]; it stops with staleness."""
         known = [belief for belief in self.beliefs(phase) if belief is not None]
@@ -83,21 +120,30 @@ class Movement:
         where it is believed.
         """
         made: dict[int, vf.Motion] = {}
+        pairs: dict[int, int] = {}
         stale = False
         before = self._poses(start) if self.tracker is None else {}
         after = self._poses(end) if self.tracker is None else {}
         for course in self._different:
             key = id(course)
             if self.tracker is None:
-                made[key] = vf.Motion(before[key], after[key])
+                blend = (0.0, 0.0)
+                if course.form is not None:
+                    pairs[key], blend = course.form.during(start, end)
+                made[key] = _motion(before[key], after[key], 0.0, 0.0, blend)
                 continue
             first, last = self._tracked[key].during(start, end)
             stale |= last.stale
             low, high = self._margin(first), self._margin(last)
             margin, growth = max(low, high), max(high - low, 0.0)
-            made[key] = vf.Motion(first.pose, last.pose, margin, growth)
+            blend = (0.0, 0.0)
+            if course.form is not None:
+                # The later of two shapes that were seen; it is believed to keep it.
+                pairs[key], blend = last.number, (1.0, 1.0)
+            made[key] = _motion(first.pose, last.pose, margin, growth, blend)
         motions = [None if course is None else made[id(course)] for course in self._courses]
-        return Guarded(tuple(motions), stale)
+        shapes = [None if course is None else pairs.get(id(course)) for course in self._courses]
+        return Guarded(tuple(motions), stale, tuple(shapes))
 
     def _margin(self, belief: Belief) -> float:
         """That of a belief; where the tool holds because of its age it grows no more [m]."""
@@ -110,8 +156,17 @@ class Movement:
         return self._truth[1]
 
 
+def _motion(
+    start: pin.SE3, end: pin.SE3, margin: float, growth: float, blend: tuple[float, float]
+) -> vf.Motion:
+    return vf.Motion(start, end, margin, growth, blend)
+
+
 def courses(
-    motions: Sequence[Motion], names: Sequence[str], surfaces: Sequence[vf.Surface]
+    motions: Sequence[Motion],
+    names: Sequence[str],
+    surfaces: Sequence[vf.Surface],
+    dt: float = 1e-3,
 ) -> tuple[Course | None, ...]:
     """The course of every structure; None: nothing moves it.
 
@@ -119,6 +174,7 @@ def courses(
 
     Args:
         names, surfaces: of the structures, the scene's mesh first; surfaces in the base frame.
+        dt: of a tick [s].
 
     Raises:
         OptionError: a motion of a structure that is not there, or a file that cannot be used.
@@ -132,20 +188,30 @@ def courses(
     whole = _middle(surfaces[0])
     found: list[Course | None] = []
     together: Course | None = None
+    deformed: set[str | None] = set()
     for name, surface in zip(names, surfaces, strict=True):
         own = [motion for motion in motions if motion.of in (None, name)]
-        if any(motion.of is not None for motion in own):
-            found.append(Course(own, _middle(surface), whole))
-        elif own:
-            together = together or Course(own, whole)
+        form, rigid = form_of(own, name, surface.vertices, dt)
+        if form is not None:
+            deformed |= {motion.of for motion in own if motion.kind in DEFORMING}
+        if form is not None or any(motion.of is not None for motion in rigid):
+            found.append(Course(rigid, _middle(surface), whole, form))
+        elif rigid:
+            together = together or Course(rigid, whole)
             found.append(together)
         else:
             found.append(None)
+    for motion in motions:
+        if motion.kind in DEFORMING and motion.of not in deformed:
+            raise OptionError(
+                f"the motion {motion.kind} is of {', '.join(deforming_names())}, as the "
+                f"catalogue has them, not of {', '.join(dict.fromkeys(names))}"
+            )
     return tuple(found)
 
 
 def checksum(courses: Sequence[Course | None]) -> str:
-    """SHA-256 of the poses that come from files; empty: there are none."""
+    """SHA-256 of the poses and shapes that come from files; empty: there are none."""
     different = {id(course): course for course in courses if course is not None}
     content = [course.recorded for course in different.values()]
     return hashlib.sha256(b"".join(content)).hexdigest() if any(content) else ""

@@ -39,6 +39,7 @@ class Belief:
         unpredicted: what the margin would be without the predictor [m].
         stale: whether the tool has to hold.
         predicted: whether the pose is that of the predictor.
+        number: of the newest sighting, which is of number / rate [s]; −1: it was never seen.
     """
 
     pose: pin.SE3
@@ -47,6 +48,7 @@ class Belief:
     unpredicted: float
     stale: bool
     predicted: bool = False
+    number: int = -1
 
 
 class Tracking:
@@ -136,7 +138,7 @@ class Tracking:
             before = None if error is None else self._before(time, seen.number)
             if error is not None and before is not None and error + before[1] < margin:
                 pose, margin, predicted = before[0], error + before[1], True
-        return Belief(pose, age, margin, unpredicted, age > tracker.stale, predicted)
+        return Belief(pose, age, margin, unpredicted, age > tracker.stale, predicted, seen.number)
 
     def _before(self, time: float, last: int) -> tuple[pin.SE3, float] | None:
         """Where the structure was a period before, and how far it can have gone since [m].

@@ -9,8 +9,8 @@ from collections import deque
 from pathlib import Path
 
 from app.console import count
-from app.control.engine import Orders, State
-from app.control.messages import Telemetry
+from app.control.engine import Orders
+from app.control.messages import State, Telemetry
 from app.recording.format import RecordingError
 from app.recording.write import Recorder
 

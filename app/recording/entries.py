@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from msgspec import Meta, Struct
 
-from app.control import engine
+from app.control import messages
 from app.control.autopilot import Course
 from app.kinds import FARTHEST
 from app.options import plain
@@ -203,7 +203,7 @@ def plants(
     )
 
 
-def state(entry: StateEntry, joints: int) -> engine.State:
+def state(entry: StateEntry, joints: int) -> messages.State:
     """The engine's state; `joints` is the number of the arm's joints."""
     if len(entry.q) != joints:
         raise RecordingError(f"{len(entry.q)} joints in the header's state, not {joints}")
@@ -213,7 +213,7 @@ def state(entry: StateEntry, joints: int) -> engine.State:
         if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-3:
             raise RecordingError("the target in the header is no pose")
         target = pin.SE3(pose[:3, :3], pose[:3, 3])
-    return engine.State(
+    return messages.State(
         q=np.array(entry.q),
         tick=entry.tick,
         steps=entry.steps,

@@ -1,6 +1,6 @@
 """Format of a recording: every order that took effect, every tick, and the state before them.
 
-A file of version 5 is append-only and consists of blocks: wherever the writing ends, all complete
+A file of version 6 is append-only and consists of blocks: wherever the writing ends, all complete
 blocks are readable. It is `MAGIC`, followed by
 
 - one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
@@ -40,19 +40,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.control.autopilot import Course
-from app.control.engine import State
+from app.control.messages import State
 from app.options import declared
 from app.settings import Options
 
 FORMAT = "vf-sandbox recording"
-VERSION = 5
-MAGIC = b"vf-sandbox recording 5\n"
+VERSION = 6
+MAGIC = b"vf-sandbox recording 6\n"
 MAGICS = {b"vf-sandbox recording %d\n" % version: version for version in range(2, VERSION + 1)}
 """The versions of append-only files, by what they begin with; all equally long."""
 ADDED: dict[int, dict[str, object]] = {
     3: {"guard": "tip", "trocar": 0.0},
     4: {"structures": [], "margin": 0.0, "guarded": True, "colour": None, "opacity": 1.0},
     5: {"motions": [], "tracker": None},
+    6: {"registration": None},
 }
 """By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")

@@ -16,6 +16,7 @@ import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
 from app.motion.movement import Movement, checksum
+from app.motion.refits import Guide
 from app.recording import rerun
 from app.recording.format import Recording
 from app.recording.write import as_json
@@ -75,6 +76,7 @@ class Player:
         self._index = -1
         self._plant: Plant | None = None
         self._movement: Movement | None = None
+        self._guide: Guide | None = None
 
     def __len__(self) -> int:
         return len(self.recording.rows)
@@ -90,6 +92,7 @@ class Player:
             self._index = int(order["plant"])
             self._plant = scenes.plant(scene, options)
             self._movement = self._plant.movement()
+            self._guide = self._plant.guide()
         q = recording.joints(row)
         target = None
         if noted["driven"]:
@@ -128,7 +131,8 @@ class Player:
         before = self._before(row, q)
         motions = None
         if self._movement is not None and self._movement.moves:
-            told = self._movement.during(self._phase_before(row), float(noted["phase"]))
+            assert self._guide is not None
+            told = self._plant.told(self._guide, self._phase_before(row), float(noted["phase"]))
             motions = self._plant.motions(told.motions)
         step = controller.step(before, arm.tip(before) if target is None else target, motions)
         return replace(

@@ -20,8 +20,8 @@ import meshes
 import vf
 from app import choices
 from app.control.autopilot import Course
-from app.control.engine import Orders, Plant, State
-from app.control.messages import Telemetry
+from app.control.engine import Orders, Plant
+from app.control.messages import State, Telemetry
 from app.files import numbered
 from app.motion.movement import checksum
 from app.options import raw
@@ -46,7 +46,8 @@ from app.recording.format import (
     chained,
 )
 from app.recording.rows import fill
-from app.settings import Options, split
+from app.settings import Options
+from app.structure import split
 
 MAX_PART_PLANTS = 64  # a plant with a course is large
 NAMES = 1000  # number of file names that are tried

@@ -27,7 +27,8 @@ from app.scenarios.values import (
     shown,
     taken,
 )
-from app.settings import Options, split
+from app.settings import Options
+from app.structure import split
 
 FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
@@ -144,6 +145,8 @@ def dumps(scenario: Scenario, folder: Path | None = None) -> str:
                 one if one.file is None else replace(one, file=_written(key, one.file, folder))
                 for one in value
             )
+        elif key == "registration" and value is not None and isinstance(value.fiducials, str):
+            value = replace(value, fiducials=_written(key, value.fiducials, folder))
         content[key] = kind.to_json(value)
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -175,7 +178,8 @@ def write(scenario: Scenario, path: Path) -> None:
 
 
 _FILES = ("mesh", "path")
-_PLAIN = ("path", "motions")  # never a label behind the file, nor a name of the catalogue
+# Never a label behind the file, nor a name of the catalogue.
+_PLAIN = ("path", "motions", "registration")
 
 
 def _is_file(name: str) -> bool:
@@ -189,7 +193,7 @@ def _written(key: str, name: str, folder: Path | None) -> str:
     A label may follow the path.
     """
     file, label = (name, None) if key in _PLAIN else split(name)
-    if not _is_file(file) and key != "motions":
+    if not _is_file(file) and key not in ("motions", "registration"):
         return name
     path = Path(file)
     file = path.name if folder is None else _relative(key, path, folder)
@@ -216,6 +220,10 @@ def _placed(
         one if one.file is None else replace(one, file=_found("motions", one.file, folder, find))
         for one in options.motions
     )
+    own = options.registration
+    if own is not None and isinstance(own.fiducials, str):
+        file = _found("registration", own.fiducials, folder, find)
+        found["registration"] = replace(own, fiducials=file)
     return replace(scenario, options=replace(options, **found))
 
 

@@ -11,7 +11,8 @@ from types import MappingProxyType
 from app.motion.declared import Motion, Tracker
 from app.scenarios.file import Scenario, ScenarioError, Waypoint, read
 from app.scenarios.values import Viewpoint
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 
 
 def find(name_or_path: str) -> Scenario:
@@ -217,9 +218,20 @@ _KNOCK = Scenario(
     (_at(1.0, 0, 0, 30), _at(2.0, 0, 0, 15), _at(3.5, 0, 0, 15), _at(5.5, 0, 0, 38)),
     camera="anatomy",
 )
+_HEART = Scenario(
+    "beating-heart",
+    "A heart that beats 72 times a minute: its wall comes and goes by up to 9 mm. The "
+    "tool is pressed on it and slides over it, rides on it, and never touches it.",
+    Options(mesh="heart", motions=(Motion("deforming"),)),
+    (
+        _at(1.0, 0, 0, 60), _at(2.0, 0, 0, 42), _at(4.0, 0, 0, 28), _at(6.0, 18, 8, 26),
+        _at(8.0, -15, 12, 28), _at(10.0, 0, 0, 60),
+    ),
+    camera="anatomy",
+)  # fmt: skip
 
 _ALL = (
     _PUSH, _ORBIT, _PLATE, _GEAR, _SADDLE, _UNCLEAN, _HELD, _MILLION, _FONTANELLE, _KEYHOLE,
-    _CORNER, _CORNER_TIP, _EAR, _BREATH, _BREATH_ALONE, _KNOCK,
+    _CORNER, _CORNER_TIP, _EAR, _BREATH, _BREATH_ALONE, _KNOCK, _HEART,
 )  # fmt: skip
 PRESETS: Mapping[str, Scenario] = MappingProxyType({one.name: one for one in _ALL})

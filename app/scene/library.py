@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -170,21 +171,23 @@ class Library:
                 return there
         raise AssertionError("numbers do not end")
 
-    def delete(self, name: str, present: str) -> None:
+    def delete(self, name: str, present: Collection[str]) -> None:
         """Delete an uploaded file.
 
         Args:
-            present: the mesh in use, which is not deleted.
+            present: the files in use, which are not deleted.
 
         Raises:
-            LibraryError: an unknown name, or the mesh in use.
+            LibraryError: an unknown name, or a file in use.
             OSError: it cannot be deleted.
         """
         file = next((file for file in self.kept() if file.name == name), None)
         if file is None:
             raise LibraryError(f"no file of the name {name} is kept")
-        if Path(present) == file.path:
-            raise LibraryError(f"{name} is on the page: choose another mesh first")
+        if file.path in map(Path, present):
+            raise LibraryError(
+                f"{name} is on the page: choose another mesh first, or remove the structure"
+            )
         file.path.unlink()
         shutil.rmtree(file.path.parent, ignore_errors=True)
         self._used.pop(name, None)

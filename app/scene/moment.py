@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +15,8 @@ from app.control.watch import Crossing
 from app.motion.movement import Movement
 from app.motion.tracking import Belief
 from app.scene.scene import Scene
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 
 FloatArray = NDArray[np.float64]
 
@@ -27,11 +29,16 @@ class Places:
         poses: T_rest_now of every structure, the mesh first; None: it stands still. Empty: all do.
         beliefs: where the guard believes them to be; None: it stands still, or the guard knows.
         margin: added to the margins of moving structures for what is not known of them [m].
+        shapes: vertices (n, 3) of every structure that deforms, where it rests [m]; None: it does
+            not.
+        believed: the same as the guard believes; None also where it knows.
     """
 
     poses: tuple[pin.SE3 | None, ...] = ()
     beliefs: tuple[Belief | None, ...] = ()
     margin: float = 0.0
+    shapes: tuple[FloatArray | None, ...] = ()
+    believed: tuple[FloatArray | None, ...] = ()
 
 
 REST = Places()
@@ -42,7 +49,10 @@ def places_at(movement: Movement, phase: float) -> Places:
     if not movement.moves:
         return REST
     beliefs = movement.beliefs(phase)
-    return Places(tuple(movement.truth(phase)), tuple(beliefs), movement.margin(phase))
+    return Places(
+        tuple(movement.truth(phase)), tuple(beliefs), movement.margin(phase),
+        tuple(movement.truths(phase)), tuple(movement.believed(phase)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,15 +61,22 @@ class Placed:
 
     Attributes:
         own: its settings.
-        surface: it, where it rests, arm base frame.
+        surface: it, where it rests, arm base frame, in the shape that it truly has.
         pose: T_rest_now as it truly is; None: it rests.
         believed: the same as the guard believes.
+        as_believed: the surface in the shape that the guard believes it to have.
     """
 
     own: Structure
     surface: vf.Surface
     pose: pin.SE3 | None = None
     believed: pin.SE3 | None = None
+    as_believed: vf.Surface | None = None
+
+    @property
+    def guards(self) -> vf.Surface:
+        """The surface in the shape of which the guard keeps the tool out."""
+        return self.surface if self.as_believed is None else self.as_believed
 
     def seen(self, p_base: ArrayLike) -> FloatArray:
         """A point (3,) of the base frame in the frame in which the surface rests [m]."""
@@ -123,15 +140,32 @@ class Moment:
         belief = self.places.beliefs[number] if number < len(self.places.beliefs) else None
         return self.pose(number) if belief is None else belief.pose
 
-    @property
+    @cached_property
     def structures(self) -> list[Placed]:
         """All structures where they are, in the order of `Options.anatomy`."""
         pairs = zip(self.options.anatomy, self.scene.surfaces, strict=True)
         return [
-            Placed(own, one, self.pose(k), self.believed(k)) for k, (own, one) in enumerate(pairs)
-        ]
+            Placed(
+                own, _shaped(one, self.shape(k)) or one, self.pose(k), self.believed(k),
+                _shaped(one, self.shape(k, believed=True)),
+            )
+            for k, (own, one) in enumerate(pairs)
+        ]  # fmt: skip
+
+    def shape(self, number: int, believed: bool = False) -> FloatArray | None:
+        """Vertices (n, 3) of a structure where it rests [m], as it truly is or as it is believed.
+
+        None: it does not deform; believed, also where the guard knows.
+        """
+        shapes = self.places.believed if believed else self.places.shapes
+        return shapes[number] if number < len(shapes) else None
 
     @property
     def guarded(self) -> list[Placed]:
         """Those that are guarded, in the order of the controller's fixtures."""
         return [one for one in self.structures if one.own.guarded]
+
+
+def _shaped(surface: vf.Surface, vertices: FloatArray | None) -> vf.Surface | None:
+    """The surface with other vertices (n, 3), None where there are none."""
+    return None if vertices is None else surface.deforming(vertices).shape(1.0)

@@ -26,6 +26,7 @@ from app.motion.movement import courses, too_fast
 from app.scene import structures
 from app.scene.caught import caught_warnings
 from app.scene.outside import shows_fronts_only
+from app.scene.registered import ranges, registered, with_fiducials
 from app.scene.structures import Arrays, Built
 from app.settings import Options
 from meshes.builtin.damage import damage
@@ -59,6 +60,8 @@ class Scene:
         autopilot: the scripted tour over this mesh.
         options: the settings it was built with, with an entry for each structure.
         courses: how each of the `surfaces` moves; None: it stands still.
+        added: margins that the registration adds to those of all structures; None: nothing.
+        added_range: the least and the largest of these on each of the `surfaces` [m], or empty.
     """
 
     version: int
@@ -79,6 +82,8 @@ class Scene:
     options: Options
     structures: tuple[Built, ...] = ()
     courses: tuple[Course | None, ...] = ()
+    added: meshes.MarginMap | None = None
+    added_range: tuple[tuple[float, float], ...] = ()
 
     @property
     def moves(self) -> bool:
@@ -111,7 +116,7 @@ def build(
     arm = robots.load(options.robot)
     T_base_tip = arm.tip(arm.neutral)
 
-    options, mesh, further = structures.read(options, say)
+    options, mesh, further = structures.read(with_fiducials(options), say)
     vertices, faces, T_base_mesh, notes, frame = anatomy(options, T_base_tip, say, mesh)
 
     if warm:
@@ -135,8 +140,12 @@ def build(
         notes.append(f"Not closed, so guarded from both sides: {', '.join(open_ones)}.")
 
     surfaces = (surface, *(one.surface for one in built))
-    moved = courses(options.motions, [str(own.name) for own in options.anatomy], surfaces)
+    names_of = [str(own.name) for own in options.anatomy]
+    moved = courses(options.motions, names_of, surfaces, options.dt)
     notes += too_fast(options.tracker, moved, surfaces)
+
+    added = registered(options, T_base_mesh)
+    added_range = ranges(added, [str(own.name) for own in options.anatomy], surfaces)
 
     path = _planned_path(options, T_base_mesh)
     if path is not None:
@@ -153,12 +162,12 @@ def build(
         )
 
     say("finding a free start for the tool")
-    further_ones = [
-        (one.surface, own.margin or 0.0) for one, own in zip(built, options.structures, strict=True)
-    ]
+    pairs = zip(options.anatomy, added_range or [(0.0, 0.0)] * len(surfaces), strict=True)
+    margins = [(own.margin or 0.0) + most for own, (_, most) in pairs]
     find = partial(
-        free_start, arm, surface, clearance(options), margin=options.margin, further=further_ones
-    )
+        free_start, arm, surface, clearance(options), margin=margins[0],
+        further=list(zip(surfaces[1:], margins[1:], strict=True)),
+    )  # fmt: skip
     try:
         start = find(options=options)
     except ValueError:
@@ -186,6 +195,8 @@ def build(
         options=options,
         structures=built,
         courses=moved,
+        added=added,
+        added_range=added_range,
     )
 
 
@@ -270,6 +281,7 @@ def plant(scene: Scene, options: Options) -> Plant:
         scene_options=scene.options,
         structures=tuple(one.surface for one in scene.structures),
         courses=scene.courses,
+        added=scene.added,
     )
     return assemble(description, scene.arm.copy())
 
@@ -277,6 +289,7 @@ def plant(scene: Scene, options: Options) -> Plant:
 def settled(options: Options, scene: Scene) -> Options:
     """The options in a scene: with an entry for each of its structures, and the mesh it has."""
     built = scene.options
+    options = replace(options, registration=built.registration)
     if options.mesh == choices.NO_MESH:  # the first structure is the mesh
         taken = ("mesh", "unit", "margin", "guarded", "colour", "opacity", "structures")
         return replace(options, **{name: getattr(built, name) for name in taken})

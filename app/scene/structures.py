@@ -14,7 +14,8 @@ import vf
 from app import choices
 from app.scene.caught import caught_warnings
 from app.scene.outside import shows_fronts_only
-from app.settings import MOST, Options, Structure, printable, split
+from app.settings import MOST, Options
+from app.structure import Structure, printable, split
 from meshes.frames import half_turn
 
 FloatArray = NDArray[np.float64]

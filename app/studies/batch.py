@@ -36,6 +36,7 @@ def grid(
     meshes: Sequence[str],
     rules: Sequence[str],
     noise: Sequence[float],
+    margins: Sequence[float] = (0.0,),
     trials: int = 1,
     seed: int = 0,
     rate: float = 1000.0,
@@ -47,11 +48,15 @@ def grid(
         OptionError: an invalid value.
     """
     return [
-        Trial(experiment, rule, number, operator, mesh, error, seed=seed, rate=rate, length=length)
-        for experiment, operator, mesh, error, number, rule in itertools.product(
-            experiments, range(1, operators + 1), meshes, noise, range(trials), rules
+        Trial(
+            experiment, rule, number, operator, mesh, error, seed=seed, rate=rate, length=length,
+            margin=margin if rule != "off" else 0.0,
         )
-    ]
+        for experiment, operator, mesh, error, number, rule, margin in itertools.product(
+            experiments, range(1, operators + 1), meshes, noise, range(trials), rules, margins
+        )
+        if rule != "off" or margin == margins[0]  # which has no fixture to have margins
+    ]  # fmt: skip
 
 
 def run_all(

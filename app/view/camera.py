@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import pinocchio as pin
 import viser
 from numpy.typing import NDArray
 
@@ -256,3 +257,24 @@ def _width_at_tip(scene: Scene) -> float:
 def _rotated(wxyz: FloatArray, p: FloatArray) -> FloatArray:
     w, v = wxyz[0], wxyz[1:]
     return np.asarray(p + 2.0 * np.cross(v, np.cross(v, p) + w * p))
+
+
+def axes_of(wxyz: FloatArray) -> FloatArray:
+    """A camera's axes right, down and away, as columns (3, 3)."""
+    w, x, y, z = wxyz
+    return np.array(pin.Quaternion(w, x, y, z).normalized().matrix())
+
+
+def viewer_axes(wxyz: FloatArray) -> FloatArray:
+    """The level axes right, away and up (+z) of a viewer, as columns (3, 3).
+
+    Args:
+        wxyz: (4,) the camera's orientation, +z forward and +x right as in viser.
+    """
+    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
+    right = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 0.0])
+    # The camera's +x axis, projected to the horizontal plane.
+    length = np.linalg.norm(right)
+    right = right / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    return np.column_stack([right, np.cross(up, right), up])

@@ -81,4 +81,72 @@
     set.call(input, `${button.dataset.vfOrder} ${Date.now()}`);
     input.dispatchEvent(new Event("input", { bubbles: true }));
   });
+
+  // What is heard and felt is said by an element of the page's own HTML, several times a second.
+  const hand = () => document.querySelector(".vf-hand")?.dataset;
+  let audio = null;
+  const play = (said) => {
+    if (audio === null) {
+      if (said?.sound !== "1") return;
+      const context = new AudioContext();
+      audio = { context, tone: context.createOscillator(), volume: context.createGain() };
+      audio.volume.gain.value = 0;
+      audio.tone.connect(audio.volume).connect(context.destination);
+      audio.tone.start();
+    }
+    const now = audio.context.currentTime;
+    const level = said?.sound === "1" ? Number(said.level) : 0;
+    audio.volume.gain.setTargetAtTime(level, now, 0.02);
+    if (level > 0) audio.tone.frequency.setTargetAtTime(Number(said.pitch), now, 0.02);
+  };
+  // Browsers let a page be heard only once it was clicked on.
+  addEventListener("click", () => audio?.context.resume(), true);
+
+  // A gamepad's state goes through the text field behind that element, as orders do: while it is
+  // moved, and once when it comes to rest.
+  let rested = true, contacts = null;
+  const feel = (said) => {
+    const pad = said?.gamepad === "1" ? [...navigator.getGamepads()].find((one) => one?.connected) : null;
+    if (said?.contacts !== contacts) {
+      if (contacts !== null) pad?.vibrationActuator?.playEffect("dual-rumble",
+        { duration: 80, strongMagnitude: 0.6, weakMagnitude: 0.3 }).catch(() => {});
+      contacts = said?.contacts ?? null;
+    }
+    const pressed = pad ? pad.buttons.flatMap((button, k) => (button.pressed ? [k] : [])) : [];
+    const rests = !pad || (pressed.length === 0 && pad.axes.every((value) => Math.abs(value) < 0.1));
+    if (rests && rested) return;
+    rested = rests;
+    const axes = pad ? pad.axes.map((value) => Math.max(-1, Math.min(1, value)).toFixed(3)) : [];
+    const field = document.querySelector(".vf-hand").parentElement?.nextElementSibling;
+    const input = field?.querySelector("input");
+    if (!input) return;
+    const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+    set.call(input, `${pad?.mapping ?? ""}|${axes}|${pressed}|${Date.now()}`);
+    input.dispatchEvent(new Event("input", { bubbles: true }));
+  };
+  setInterval(() => {
+    const said = hand();
+    play(said);
+    if (said) feel(said);
+  }, 40);
+  // Such a button is replaced with its HTML when that changes, which takes the focus away: give it
+  // to the button of the same order.
+  let ordering = null;
+  addEventListener("focusin", (event) => {
+    ordering = event.target instanceof Element ? event.target.closest("[data-vf-order]") : null;
+  });
+  addEventListener("focusout", () => {
+    // Also sent while the button is being removed: afterwards is known which it was.
+    const left = ordering;
+    queueMicrotask(() => {
+      if (left === ordering && left?.isConnected) ordering = null;
+    });
+  });
+  new MutationObserver(() => {
+    if (ordering === null || ordering.isConnected) return;
+    const lost = document.activeElement === document.body;
+    const same = document.querySelector(`[data-vf-order="${ordering.dataset.vfOrder}"]`);
+    ordering = null;
+    if (lost) same?.focus({ preventScroll: true });
+  }).observe(document, { childList: true, subtree: true });
 })();

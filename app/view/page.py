@@ -23,13 +23,16 @@ from app.view.clients import client_names
 from app.view.clients.cameras import Cameras
 from app.view.clients.client_input import ClientInput
 from app.view.clients.escape import EscapeKey
+from app.view.clients.grab import Grab
 from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
 from app.view.controls.devices import DeviceLamps
+from app.view.controls.feel import Feel
 from app.view.controls.keys import Keys
+from app.view.controls.margins import MarginLegend
 from app.view.controls.motion import MotionControl
-from app.view.controls.panel import BANNER, CLIENTS, DEVICES, RESTART, Panel
+from app.view.controls.panel import BANNER, CLIENTS, DEVICES, MARGINS, RESTART, Panel
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
@@ -101,13 +104,15 @@ class Page:
         self._anatomy = Anatomy(api)
         self._labels = Labels(server)
         self._rulers = Rulers(api, self._labels)
-        self._arm = ArmDrawing(api)
         self._fixture = FixtureDrawing(api, self._labels)
         self._instrument = Instrument(api)
         self._tool = Tool(api, self._labels)
         self._crossing = CrossingMark(api, self._labels)
         self._proxy = Proxy(api, self._labels, session.handle)
         self._input = ClientInput(session, server, self._proxy, self._notify)
+        by_hand = lambda: bool(self._proxy.gizmo.visible)  # noqa: E731
+        grab = Grab(session, self._source, self._input, self._notify, by_hand)
+        self._arm = ArmDrawing(api, grab.attach)
         self._cameras = Cameras(server, self._source, self._notify)
         self._section = Section(self._anatomy)
         escape, library = EscapeKey(server, self._input), Library()
@@ -157,6 +162,7 @@ class Page:
             self._section,
             self._client_lines,
             left,
+            MarginLegend(server, self._anatomy, MARGINS),
             Restart(server, session, self._input, RESTART),
             DeviceLamps(server, session, self._input, DEVICES),
             panel,
@@ -166,6 +172,7 @@ class Page:
             MeshTab(context),
             CorridorControl(context),
             MotionControl(context),
+            Feel(context),
             RecordTab(context),
             self._labels,  # after all parts that change a label
         )
@@ -310,6 +317,7 @@ class Page:
         return {
             "Anatomy": (True, self._anatomy.show),
             "See-through": (False, self._anatomy.set_translucent),
+            "Margins": (True, self._anatomy.show_margins),
             "Ghosts": (True, self._anatomy.show_ghosts),
             "Arm": (True, self._arm.show),
             "Capsules": (False, partial(setattr, self._instrument, "show")),

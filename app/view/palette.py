@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.settings import Structure
+from app.structure import Structure
 
 Rgb = tuple[int, int, int]
 
@@ -62,6 +62,14 @@ LOOKS: dict[vf.Rule, Look] = {
     vf.Rule.NEAREST: Look(PURPLE, "nearest point", "the plane faces the tool from there"),
     vf.Rule.SAMPLED: Look(SKY, "distance field", "the plane is interpolated between samples"),
 }
+
+
+CONDITIONS = (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY)
+"""Of the paper's rule. Planes of the certified rule are classed by them too, see `CLASSED`."""
+CLASSED = (
+    "Conditions 1–3 are those of the paper’s rule. Planes of the certified rule have their colours "
+    "by where on its triangle the closest point lies; that rule does not ask for them."
+)
 
 
 class TriangleState(Enum):

@@ -267,7 +267,10 @@ def test_motions_and_tracker_are_given_on_the_command_line() -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--motion sneeze", "choose one of breathing, heartbeat, shift, knock, poses"),
+        (
+            "--motion sneeze",
+            "choose one of breathing, heartbeat, shift, knock, poses, deforming, vertices",
+        ),
         ("--motion breathing --period 0", "period 0 s is outside"),
         ("--tracker 30 --bound 9m/s", "bound 9 m/s is outside"),
         ("--tracker 30 --predictor crystal", "choose one of off, periodic"),

@@ -22,7 +22,8 @@ from app.scenarios.file import read as read_scenario
 from app.scenarios.staging import present, stage
 from app.scene import scene as scenes
 from app.session import Session
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 from tests.support import structured
 from tests.support.headless import wait_until
 

@@ -9,7 +9,8 @@ import pytest
 
 from app.cli import _parsed
 from app.options import declared, parse_as, plain, raw
-from app.settings import DECLARED, MOST, Options, Structure, split
+from app.settings import DECLARED, MOST, Options
+from app.structure import Structure, split
 from app.words import OptionError
 
 KIND = DECLARED["structures"].kind

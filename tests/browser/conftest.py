@@ -15,14 +15,7 @@ from app.bench.tools import watcher
 from app.session import Session
 from app.settings import Options
 from app.view import Page
-from tests.support.watching import Visitor, settle
-
-# The page draws as often as the browser lets it, and a software renderer fills a core with that.
-# Ten pictures a second are enough to see what happens, and leave the core to the sandbox.
-FEWER_FRAMES = """
-window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 100);
-window.cancelAnimationFrame = (timer) => clearTimeout(timer);
-"""
+from tests.support.watching import FEWER_FRAMES, Visitor, settle
 
 # A software renderer makes the browser complain about performance; that says nothing about us.
 HARMLESS = (

@@ -46,7 +46,7 @@ def test_a_user_restarts_a_control_process_that_died(
             lambda before=before: not session.ended and session.latest().tick > before.tick, "ticks"
         )
         button.wait_for(state="detached", timeout=30_000)
-        wait_until(lambda: "Ready: drag the gizmo" in banner.inner_text(), "the banner")
+        wait_until(lambda: "Ready: drag the tool" in banner.inner_text(), "the banner")
         np.testing.assert_array_equal(session.latest().q, before.q)
         assert session.options.radius == 1e-3
     assert not visitor.complaints

@@ -175,6 +175,36 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_kept(
     assert visitor.complaints == []
 
 
+def test_a_file_becomes_a_further_structure_and_is_removed_again(
+    visitor: Visitor, session: Session, tmp_path: Path
+) -> None:
+    before = session.options
+    path = tmp_path / "nerve.off"
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
+    ball.apply_translation((0.0, 12.0, 40.0))
+    ball.export(path)
+    send(visitor, path)
+    visitor.choose("Use it as", "a further structure")
+    in_millimetres(visitor)
+    wait_until(lambda: len(session.options.structures) == 1, "the structure to be taken")
+    (own,) = session.options.structures
+    assert (own.name, own.unit, Path(own.file).name) == ("nerve", "mm", "nerve.off")
+    assert (session.options.mesh, session.options.unit) == (before.mesh, before.unit)
+    T = session.scene.T_base_mesh
+    middle = session.scene.surfaces[1].vertices.mean(axis=0)
+    np.testing.assert_allclose((middle - T[:3, 3]) @ T[:3, :3], [0.0, 0.012, 0.04], atol=1e-6)
+    row = visitor.tab.locator("[data-vf-order='choose 1']")
+    row.wait_for()
+    assert row.inner_text().strip() == "nerve"
+    assert says(visitor, "Remove structure").count() == 0  # the mesh is the chosen one, and stays
+    row.click()
+    visitor.reads("Chosen", "1: nerve")
+    visitor.press("Remove structure")
+    wait_until(lambda: session.options.structures == (), "the structure to be gone")
+    wait_until(lambda: row.count() == 0, "its row to be gone")
+    assert session.options.mesh == before.mesh
+
+
 def test_what_was_brought_keeps_its_name_outlives_the_page_and_is_deleted_when_confirmed(
     visitor: Visitor, session: Session, page: Page, tmp_path: Path
 ) -> None:

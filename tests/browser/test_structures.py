@@ -68,13 +68,38 @@ def test_eye_and_box_of_a_row(visitor: Visitor, session: Session, page: Page) ->
     wait_until(lambda: page._anatomy.shows(2), "the nerve to be drawn")
     button(visitor, "guard", 1).click()
     wait_until(lambda: not session.options.structures[0].guarded, "the dura to be off")
-    # From the keyboard, too: once the row is drawn anew, since that takes the focus away.
     wait_until(
         lambda: button(visitor, "guard", 1).get_attribute("aria-pressed") == "false", "the row"
     )
+    session.set_structure(1, guarded=True)
+
+
+def test_from_the_keyboard_the_focus_stays_where_it_was(visitor: Visitor, session: Session) -> None:
+    """A row is drawn anew when its structure is switched, also by another client."""
+    focused = "() => document.activeElement.dataset.vfOrder"
     button(visitor, "guard", 1).focus()
-    visitor.tab.keyboard.press("Enter")
-    wait_until(lambda: session.options.structures[0].guarded, "the dura to be on")
+    for on in (False, True, False):
+        visitor.tab.keyboard.press("Enter")
+        wait_until(lambda on=on: session.options.structures[0].guarded is on, "the dura's switch")
+        said = str(on).lower()
+        wait_until(
+            lambda said=said: button(visitor, "guard", 1).get_attribute("aria-pressed") == said,
+            "the row",
+        )
+        assert visitor.tab.evaluate(focused) == "guard 1"
+    session.set_structure(1, guarded=True)
+    wait_until(
+        lambda: button(visitor, "guard", 1).get_attribute("aria-pressed") == "true", "the row"
+    )
+    assert visitor.tab.evaluate(focused) == "guard 1"
+    # Whoever has left the list is not called back.
+    visitor.tab.get_by_label("Margin [mm]", exact=True).focus()
+    session.set_structure(1, guarded=False)
+    wait_until(
+        lambda: button(visitor, "guard", 1).get_attribute("aria-pressed") == "false", "the row"
+    )
+    assert visitor.tab.evaluate("() => document.activeElement.tagName") == "INPUT"
+    session.set_structure(1, guarded=True)
 
 
 def test_the_chosen_one_is_set_below_the_list(visitor: Visitor, session: Session) -> None:

@@ -155,7 +155,7 @@ def test_uses_a_phone_and_still_sees_most_of_the_scene(browser: Any, page: Page)
         wait_until(lambda: set(page.server.get_clients()) - known, "the phone", 120.0)
         pause = tab.get_by_role("button", name="Pause", exact=True)
         wait_until(lambda: pause.bounding_box()["y"] < 820, "buttons that need no scrolling")
-        banner = tab.get_by_text("Ready: drag the gizmo").bounding_box()
+        banner = tab.get_by_text("Ready: drag the tool").bounding_box()
         assert banner["y"] > 0.55 * 844, "the scene has the upper half"
         assert banner["width"] > 0.8 * 390, "the sheet is as wide as the screen"
         picture = Visitor(tab, -1, page).picture("phone")

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 import meshes
-from app.settings import Options, Structure
+from app.settings import Options
+from app.structure import Structure
 
 NAMES = ("dura", "nerve", "vessel")
 RADIUS = 5e-3  # of each ball [m]

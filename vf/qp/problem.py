@@ -124,7 +124,9 @@ def height(plane, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bounds):  # type: ignore[no-untyped-def]
+def fill_rows(  # type: ignore[no-untyped-def]
+    planes, m, places, jacobians, standoff, guards, moves, approach, rows, bounds
+):  # fmt: skip
     """Rows n·J Δq ≥ b of the first m planes, written to rows (≥ m, n) and bounds (≥ m,).
 
     Below standoff and margin, b > 0 asks for a motion that recovers a share of the deficit, slowly
@@ -139,6 +141,7 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bound
         guards: (p, GUARD) see `vf.layout`.
         moves: whether planes have their CARRY, by how much they ask for motion beside all that;
             else it is set to 0.
+        approach: share of the room above its plane that a point may use up, 1: all of it.
 
     Returns:
         Distance of the nearest foot of a plane of the tip, and the worst deficit of any point to
@@ -187,6 +190,10 @@ def fill_rows(planes, m, places, jacobians, standoff, guards, moves, rows, bound
             if i == m or planes[i, POINT] != planes[first, POINT]:
                 _reconcile(planes[first:i], i - first, places, bounds[first:i])
                 first = i
+    if approach < 1.0:
+        for i in range(m):
+            if bounds[i] < 0.0:
+                bounds[i] *= approach
     if moves:
         for i in range(m):
             if planes[i, POINT] == 0.0 or rows[i].any():
@@ -311,6 +318,22 @@ def farthest(J, reach):  # type: ignore[no-untyped-def]
     for j in range(reach.shape[0]):
         far += reach[j] * np.sqrt(J[0, j] ** 2 + J[1, j] ** 2 + J[2, j] ** 2)
     return far
+
+
+@njit(cache=True)
+def widest(J, reach):  # type: ignore[no-untyped-def]
+    """Bound on J dq [m] while every joint goes no farther than its reach (n,).
+
+    |Σ ±w_j|² is at most Σ |w_i·w_j|, with w_j the columns times the reach. For columns at right
+    angles to each other, as of the first three joints of a PSM, that is their diagonal and not,
+    as `farthest` has it, the sum of their lengths.
+    """
+    square = 0.0
+    for i in range(reach.shape[0]):
+        for j in range(i + 1):
+            dot = abs(J[0, i] * J[0, j] + J[1, i] * J[1, j] + J[2, i] * J[2, j])
+            square += (1.0 if i == j else 2.0) * reach[i] * reach[j] * dot
+    return np.sqrt(square)
 
 
 @njit(cache=True)

@@ -49,6 +49,7 @@ from vf.tree.axis import (
     triangle_gap2,
 )
 from vf.tree.pdtree import EXACT, Tree, children_of, triangles_of
+from vf.tree.shapes import RIGID, place_boxes, place_corners
 
 BUDGET = 64  # planes that a walk may choose; masks have one bit for each
 # On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
@@ -56,6 +57,9 @@ BUDGET = 64  # planes that a walk may choose; masks have one bit for each
 # facets each: in a bowl, where every facet needs a plane of its own, this is a third of the planes
 # for about a percent of the free space, and the budget lasts.
 EASE = 0.004
+# The same for an axis, whose body has a wide surface beside the mesh: a fifth less planes than with
+# `EASE`, for a third of a percent of the free space.
+AXIS_EASE = 0.016
 # Parts of the mesh that stand out of the covered region by up to this share of the standoff get no
 # plane of their own (a bump); the remaining share of the standoff keeps the tool off them.
 BUMPY = 0.75
@@ -138,15 +142,16 @@ def cover(
     tree = surface.tree
     m, reach = walk_alone(
         tree.nodes, tree.corners, tree.order, tree.errors, surface.edges, *margins, False,
-        tuple(x.ravel().tolist()), radius, standoff, tip_radius, EASE, planes,
+        tuple(x.ravel().tolist()), radius, standoff, tip_radius,
+        EASE if x.size == 3 else AXIS_EASE, planes,
     )  # fmt: skip
     return planes_of(planes[:m], reach)
 
 
 @njit(cache=True, nogil=True)
 def walk(  # type: ignore[no-untyped-def]
-    nodes, corners, order, slivers, edges, margin, highest, own, lowered, walls, ends, radius,
-    standoff, thickness, ease, planes, first, queue, polygons,
+    nodes, corners, order, slivers, edges, shape, margin, highest, own, lowered, walls, ends,
+    radius, standoff, thickness, ease, planes, first, queue, polygons,
 ):  # fmt: skip
     """Planes from row `first` on: their number, the radius they hold in, how far margins are lower.
 
@@ -158,13 +163,15 @@ def walk(  # type: ignore[no-untyped-def]
     Args:
         nodes, corners, order, slivers: a `pdtree.Tree`.
         edges: (≥ m, 3) values of `Edge`, the caller's triangles.
+        shape: of a mesh that deforms, see `shapes.place_corners`: nodes, corners and slivers are
+            written where the walk comes to them; else `RIGID`.
         margin, highest, own: `margins.Margins` [m]; where they vary, what `margin` is above the
             largest of them is added to all.
         lowered: by how much the margins are lowered from the outset [m].
         walls: triangles (a, b, b) stand for walls through a and b along z, and the tip's z is 0.
         ends: three numbers, the centre of the tip, or six, start and end of a capsule's axis [m].
         thickness: radius of the tip, or of the capsule [m].
-        ease: `EASE`, or less.
+        ease: `EASE`, or `AXIS_EASE` for an axis, or less.
         planes: (k, PLANE) written; at most `BUDGET` of them. PUSH is the margin, not lowered.
         queue, polygons: (HEAP, 3), (2, ≥ CORNERS, 3) to work in.
     """
@@ -197,6 +204,8 @@ def walk(  # type: ignore[no-untyped-def]
     shift = 0.0  # where margins vary: of a triangle, or the largest of a node
     short = 0.0  # by how much it is less than the widest
     # The nearest child of the node just opened is often the next item: it is kept out of the queue.
+    if shape[0] != 0:
+        place_boxes(shape, 0, 1)
     next2 = box_gap2(nodes, 0, ends)
     next_item = 0
     next_mask = 0
@@ -228,8 +237,12 @@ def walk(  # type: ignore[no-untyped-def]
             link = nodes[item, 15]
             if link > 0.0:
                 first, last = children_of(link)
+                if shape[0] != 0:
+                    place_boxes(shape, first, last)
             else:
                 first, last = triangles_of(link)
+                if shape[0] != 0:
+                    place_corners(shape, first, last)
             if size + last - first >= HEAP:
                 valid = max(np.sqrt(d2) * (1.0 - 1e-9) - blur - deepest, 0.0)
                 break
@@ -376,7 +389,8 @@ def walk_alone(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """`walk` with its own working memory, for a single call from Python: planes and radius."""
     m, valid, _lowered = walk(
-        nodes, corners, order, slivers, edges, margin, highest, own, 0.0, walls, ends, radius,
-        standoff, thickness, ease, planes, 0, np.empty((HEAP, 3)), np.empty((2, CORNERS, 3)),
+        nodes, corners, order, slivers, edges, RIGID, margin, highest, own, 0.0, walls, ends,
+        radius, standoff, thickness, ease, planes, 0, np.empty((HEAP, 3)),
+        np.empty((2, CORNERS, 3)),
     )  # fmt: skip
     return m, valid

@@ -23,6 +23,7 @@ from vf.rules.walls import (
     tree_of,
     walls_along,
 )
+from vf.tree.shapes import RIGID
 
 # A tool outside is moved back by at most this in a tick [m]: 10 mm/s at 1 kHz.
 LED_BACK = 1e-5
@@ -219,8 +220,8 @@ def between(  # type: ignore[no-untyped-def]
     else:
         none = slivers[:0]  # margins: there are none
         m, valid, _lowered = walk(
-            nodes, corners, order, slivers, edges, 0.0, none, none, 0.0, True, (x, y, 0.0), radius,
-            standoff, tip_radius, 0.0, planes, first, queue, polygons,
+            nodes, corners, order, slivers, edges, RIGID, 0.0, none, none, 0.0, True, (x, y, 0.0),
+            radius, standoff, tip_radius, 0.0, planes, first, queue, polygons,
         )  # fmt: skip
     for i in range(first, first + m):
         plane = planes[i]

@@ -12,6 +12,7 @@ from vf.planes import FloatArray, IntArray
 from vf.qp.active_set import scratch_size
 from vf.rules.certified import BUDGET, CORNERS, HEAP
 from vf.rules.search import Search
+from vf.surface import DeformingSurface
 from vf.tick.bodies import Guarded, tip_alone
 from vf.tick.chain import LINK
 
@@ -46,6 +47,8 @@ class Block:
         # The kernels hold addresses only: these references keep the arrays alive.
         self._searched = tuple(searches)
         self._parts: dict[int, NDArray[np.generic]] = {}
+        self._scratch: dict[int, tuple[FloatArray, ...]] = {}
+        self._deforming: dict[int, DeformingSurface] = {}
         self.n = n
         links = 0 if chain is None else len(chain)
         guarded = guarded or tip_alone(0.0)
@@ -97,6 +100,7 @@ class Block:
         self._part(at.ROWS, rows, n)
         self._part(at.BOUNDS, rows)
         self._part(at.OTHER_BOUNDS, rows)
+        self._part(at.GAINS, rows)
         self._part(at.MULTIPLIERS, rows)
         self.duals = self._part(at.DUALS, rows + 2 * n)
         size = scratch_size(n, rows + 2 * n)
@@ -122,7 +126,7 @@ class Block:
             tree = search.tree
             row[at.KIND] = search.kind
             row[at.NODE_COUNT] = len(tree.nodes)
-            row[at.TRIANGLES] = len(tree.corners)
+            row[at.TRIANGLES] = len(tree.order)
             row[at.WALL_COUNT] = len(search.walls)
             row[at.VARIED] = len(search.margins.own)
             side[at.MARGIN] = search.margins.margin
@@ -138,3 +142,22 @@ class Block:
                 row[word] = array.ctypes.data
         self.searches = table
         self._point(at.SEARCHES, table)
+
+    def deform(self, f: int, surface: DeformingSurface) -> None:
+        """Let fixture f have a surface that deforms, from now on; the same mesh as before."""
+        row = self.searches[f]
+        if row[at.FACES] == 0:
+            # Where walks write the boxes and triangles that they come to, in the shape of the tick.
+            # All of the memory is touched here, so that no tick has to wait for it.
+            m, nodes = len(surface.faces), surface.searched.nodes.copy()
+            scratch = np.full((m, 9), 0.0), np.full(m, 0.0), nodes
+            self._scratch[f] = scratch
+            for word, part in zip((at.CORNERS, at.SLIVERS, at.NODES), scratch, strict=True):
+                row[word] = part.ctypes.data
+            row[at.TRIANGLES], row[at.NODE_COUNT] = m, len(nodes)
+            self.words[at.DEFORMS] = 1
+        words = at.FACES, at.BEFORE, at.AFTER, at.BOXES, at.BOXES_AFTER, at.SHIFTS
+        for word, array in zip(words, (*surface.parts, surface.shifts), strict=True):
+            row[word] = array.ctypes.data
+        row[at.FORM], row[at.FORM_BETWEEN], row[at.FORM_AFTER] = surface.forms
+        self._deforming[f] = surface  # keeps the arrays alive

@@ -10,6 +10,7 @@ import numpy as np
 
 from vf import layout as at
 from vf.planes import FloatArray, IntArray
+from vf.qp.problem import JOINT_RANGE
 from vf.tick.chain import TRANSLATION, place_points
 
 
@@ -111,3 +112,26 @@ def _along(
     found = start.copy()
     found[1:] += length * (axes @ way) / np.linalg.norm(way)
     return found
+
+
+def guards_tool(fixture: Any, guard: str) -> bool:
+    """Whether a fixture guards bodies beside the tip, where settings say `guard` of all."""
+    search = getattr(fixture, "search", None)
+    own = getattr(fixture, "guard", None) or guard
+    return search is not None and search.kind == at.MESH and own == "tool"
+
+
+def check_limits(arm: Any) -> None:
+    """ValueError unless all limits are finite, with lower ≤ upper and speeds above zero."""
+    lower, upper, speed = (np.asarray(v, float) for v in (arm.lower, arm.upper, arm.velocity))
+    most = JOINT_RANGE
+    if not ((-most <= lower) & (lower <= upper) & (upper <= most)).all():
+        raise ValueError(
+            f"an arm's position limits must be numbers within ±{most:g} rad or m, lower ≤ upper,"
+            f" got {lower} and {upper}"
+        )
+    if not ((speed > 0.0) & (speed <= most)).all():
+        raise ValueError(
+            f"an arm's speed limits must be above zero and at most {most:g} rad/s or m/s, got"
+            f" {speed}: a joint that is not to move is no joint"
+        )

@@ -21,6 +21,7 @@ import numpy as np
 from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit
 from vf.qp.problem import height
+from vf.tree.shapes import RIGID, shift_near
 
 
 @njit(cache=True)
@@ -98,19 +99,71 @@ def put(plane, motion):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def form(search, blend):  # type: ignore[no-untyped-def]
+    """Which shape a surface has at a blend: the number of a form, and a blend if it is between."""
+    if search[at.FACES] == 0:
+        return 0.0, 0.0
+    if blend == 0.0:
+        return float(search[at.FORM]), 0.0
+    if blend == 1.0:
+        return float(search[at.FORM_AFTER]), 0.0
+    return float(search[at.FORM_BETWEEN]), blend
+
+
+@njit(cache=True)
+def shape_of(search, blend):  # type: ignore[no-untyped-def]
+    """What `certified.walk` needs to know of the shape of a surface at a blend."""
+    if search[at.FACES] == 0:
+        return RIGID
+    return (
+        search[at.FACES], search[at.BEFORE], search[at.AFTER], search[at.CORNERS],
+        search[at.SLIVERS], search[at.BOXES], search[at.BOXES_AFTER], search[at.NODES], blend,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def shift_of(search, motion, ends, reach):  # type: ignore[no-untyped-def]
+    """`shapes.shift_near` of a surface that deforms in this tick."""
+    nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
+    shifts = numba.carray(floats_at(search[at.SHIFTS]), (search[at.NODE_COUNT], 6))
+    shape = shape_of(search, motion[at.BLEND])
+    share = motion[at.BLEND_AFTER] - motion[at.BLEND]
+    return shift_near(nodes, shifts, shape, ends, reach, share)
+
+
+@njit(cache=True)
+def shift(plane, dx, dy, dz, wx, wy, wz):  # type: ignore[no-untyped-def]
+    """Move a plane's record to where it has to be for a surface that deforms, and set its CARRY.
+
+    What it covers is displaced by (dx, dy, dz), give or take (wx, wy, wz), so the plane moves by
+    the most that is along its normal.
+    """
+    nx, ny, nz = plane[at.NORMAL], plane[at.NORMAL + 1], plane[at.NORMAL + 2]
+    wide = wx * abs(nx) + wy * abs(ny) + wz * abs(nz)
+    along = nx * dx + ny * dy + nz * dz + wide
+    plane[at.OFFSET] += along
+    plane[at.FLOOR] += along
+    plane[at.FOOT] += dx + wide * nx
+    plane[at.FOOT + 1] += dy + wide * ny
+    plane[at.FOOT + 2] += dz + wide * nz
+    plane[at.CARRY] = along
+
+
+@njit(cache=True)
 def set_carries(words, planes, places):  # type: ignore[no-untyped-def]
-    """Write the CARRY of all planes."""
+    """Complete the CARRY of all planes, which is that of their surfaces' deformation so far."""
     fixtures = words[at.FIXTURES]
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     for i in range(words[at.COUNT]):
         plane = planes[i]
         f = int(plane[at.FIXTURE])
-        plane[at.CARRY] = 0.0
         if searches[f, at.MOVES] > 0:
             x, y, z = carried(motions[f], places[int(plane[at.POINT])])
             n = plane[at.NORMAL : at.NORMAL + 3]
-            plane[at.CARRY] = n[0] * x + n[1] * y + n[2] * z
+            plane[at.CARRY] += n[0] * x + n[1] * y + n[2] * z
+        else:
+            plane[at.CARRY] = 0.0
 
 
 @njit(cache=True)
@@ -180,7 +233,11 @@ def violation(words, planes, m, places, trials, bulges, guards, clear):  # type:
     back = 0.0  # share of the way
     far = 0.0  # longest way, relative to a structure that moves
     deepest = 0.0
+    unsure = 0.0  # planes of surfaces that deform may be this much higher than what they cover
     worst = -1
+    for f in range(fixtures):
+        if searches[f, at.MOVES] > 0:
+            unsure = max(unsure, motions[f, at.MOST_SPREAD])
     for p in range(places.shape[0]):
         if guards[p, at.PATH_LIMIT] == np.inf or (clear and p > 0):
             continue  # the centre of a trocar zone is no part of the tool
@@ -190,7 +247,7 @@ def violation(words, planes, m, places, trials, bulges, guards, clear):  # type:
         far = max(far, d)
         for f in range(fixtures):
             if searches[f, at.MOVES] > 0:
-                far = max(far, d + more_reach(motions[f], places[p], d))
+                far = max(far, d + more_reach(motions[f], places[p], d) + motions[f, at.MOST_SHIFT])
     for i in range(m):
         p = int(planes[i, at.POINT])
         if clear and p > 0:
@@ -205,7 +262,7 @@ def violation(words, planes, m, places, trials, bulges, guards, clear):  # type:
                 worst = i
     if back == 0.0:
         return 0.0
-    depth = back * far
+    depth = back * far + unsure
     if back < 1.0 and worst >= 0 and deepest < depth:
         for i in range(m):
             p = int(planes[i, at.POINT])

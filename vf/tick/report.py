@@ -9,11 +9,10 @@ from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit, now
 from vf.qp.solver import Solver
 from vf.status import Status
+from vf.tick.attempts import NEGLIGIBLE
 from vf.tick.haptics import master_force
-from vf.tick.moving import into
+from vf.tick.moving import form, into
 
-# A deficit below this share of the standoff is rounding and not reported as RECOVERING.
-NEGLIGIBLE = 0.1
 INFEASIBLE, EXACT = int(Solver.INFEASIBLE), int(Solver.SOLVED)
 IS_SOLVED, IS_SHORTENED, IS_HELD = int(Status.SOLVED), int(Status.SHORTENED), int(Status.HELD)
 IS_RECOVERING, IS_INSIDE = int(Status.RECOVERING), int(Status.INSIDE)
@@ -65,8 +64,11 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
     for f in range(words[at.FIXTURES]):
         if searches[f, at.KEEPS] > 0 and sides[f, at.WITHIN] == 0.0:
             px, py, pz = x[0], x[1], x[2]
+            blend = 0.0
             if words[at.MOVING] > 0 and searches[f, at.MOVES] > 0:
                 px, py, pz = into(motions[f], at.TO, px, py, pz)
+                blend = motions[f, at.BLEND_AFTER]
+            sides[f, at.SEEN_FORM], sides[f, at.SEEN_BLEND] = form(searches[f], blend)
             if words[at.YIELDS] > 0 and numbers[at.VIOLATION] > 0.0:
                 px = np.nan
             sides[f, at.SEEN], sides[f, at.SEEN + 1], sides[f, at.SEEN + 2] = px, py, pz

@@ -7,12 +7,12 @@ import numpy as np
 
 from vf import layout as at
 from vf.kernels import bytes_at, floats_at, integers_at, njit
-from vf.qp.problem import farthest, height, sagitta
-from vf.rules.certified import CORNERS, EASE, HEAP, YIELD, walk
+from vf.qp.problem import farthest, height, sagitta, widest
+from vf.rules.certified import AXIS_EASE, CORNERS, EASE, HEAP, YIELD, walk
 from vf.rules.corridor import between
 from vf.rules.walls import WALL
-from vf.tick.moving import bend, into, more_reach, put
-from vf.tree.axis import lowest
+from vf.tick.moving import bend, form, into, more_reach, put, shape_of, shift, shift_of
+from vf.tree.axis import lowest, out_of_reach
 
 
 @njit(cache=True)
@@ -24,7 +24,7 @@ def sides_known(words, x):  # type: ignore[no-untyped-def]
     fixtures = words[at.FIXTURES]
     sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
     known = True
-    if words[at.MOVING] == 0:
+    if words[at.MOVING] == 0 and words[at.DEFORMS] == 0:
         for f in range(fixtures):
             for k in range(3):
                 known &= sides[f, at.SEEN + k] == x[k]
@@ -37,11 +37,16 @@ def sides_known(words, x):  # type: ignore[no-untyped-def]
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     for f in range(fixtures):
         px, py, pz = x[0], x[1], x[2]
+        blend = 0.0
         if searches[f, at.MOVES] > 0:
             px, py, pz = into(motions[f], at.FROM, px, py, pz)
+            blend = motions[f, at.BLEND]
         seen = sides[f, at.SEEN : at.SEEN + 3]
         known &= seen[0] == px and seen[1] == py and seen[2] == pz
         seen[0], seen[1], seen[2] = px, py, pz
+        shape, blend = form(searches[f], blend)
+        known &= sides[f, at.SEEN_FORM] == shape and sides[f, at.SEEN_BLEND] == blend
+        sides[f, at.SEEN_FORM], sides[f, at.SEEN_BLEND] = shape, blend
     return known
 
 
@@ -68,7 +73,27 @@ def set_radius(words, numbers, J, speed, x):  # type: ignore[no-untyped-def]
         motions = numba.carray(floats_at(words[at.MOTIONS]), (words[at.FIXTURES], at.MOTION))
         for f in range(words[at.FIXTURES]):
             if searches[f, at.MOVES] > 0:
-                motions[f, at.MORE] = more_reach(motions[f], x, numbers[at.SEARCHED])
+                more = more_reach(motions[f], x, numbers[at.SEARCHED])
+                motions[f, at.SHIFT :] = 0.0
+                if searches[f, at.FACES] != 0:
+                    reach = numbers[at.SEARCHED] + numbers[at.TIP_RADIUS] + more
+                    reach += sides[f, at.MARGIN] + motions[f, at.ADDED]
+                    here = into(motions[f], at.FROM, x[0], x[1], x[2])
+                    far, dx, dy, dz, wx, wy, wz = shift_of(searches[f], motions[f], here, reach)
+                    motion = motions[f]
+                    motion[at.SHIFT], motion[at.SHIFT + 1], motion[at.SHIFT + 2] = dx, dy, dz
+                    motion[at.SPREAD], motion[at.SPREAD + 1], motion[at.SPREAD + 2] = wx, wy, wz
+                    _note_most(motion, far, wx, wy, wz)
+                    more += far
+                motions[f, at.MORE] = more
+
+
+@njit(cache=True)
+def _note_most(motion, far, wx, wy, wz):  # type: ignore[no-untyped-def]
+    """Keep the largest displacement, and the largest difference of displacements, of a tick."""
+    motion[at.MOST_SHIFT] = max(motion[at.MOST_SHIFT], far)
+    wide = np.sqrt(wx * wx + wy * wy + wz * wz)
+    motion[at.MOST_SPREAD] = max(motion[at.MOST_SPREAD], wide)
 
 
 @njit(cache=True)
@@ -154,6 +179,7 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
     sides = numba.carray(floats_at(words[at.SIDES]), (fixtures, at.SIDE))
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     standoff = numbers[at.STANDOFF]
+    ease = EASE if len(ends) == 3 else AXIS_EASE
     lowered = 0.0
     while True:
         m = start
@@ -174,22 +200,35 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             here = ends
             more = 0.0
             wider = 1.0
+            blend = 0.0
+            dx = dy = dz = wx = wy = wz = 0.0
             if searches[f, at.MOVES] > 0:
                 here = _ends_into(motions[f], ends)
                 more, wider = _for_motion(motions[f], ends, radius, numbers[at.STANDOFF])
+                blend = motions[f, at.BLEND]
             if search[at.KIND] == at.MESH:
                 if not tip and search[at.TOOL] == 0:
                     continue
                 margin = sides[f, at.MARGIN]
                 if search[at.MOVES] > 0:
                     margin += motions[f, at.ADDED]
+                    if search[at.FACES] != 0:
+                        wide = radius + thickness + margin + more
+                        far, dx, dy, dz, wx, wy, wz = shift_of(search, motions[f], here, wide)
+                        _note_most(motions[f], far, wx, wy, wz)
+                        more += far
+                wide = radius + more + thickness + margin
+                # Of a mesh that deforms the box is where the last walk left it.
+                known = search[at.FACES] == 0 and search[at.VARIED] == 0
+                if known and not tip and out_of_reach(nodes, here, wide):
+                    continue
                 nodes_too = search[at.NODE_COUNT] if search[at.VARIED] > 0 else 0
                 highest = numba.carray(floats_at(search[at.NODE_MARGINS]), (nodes_too,))
                 own = numba.carray(floats_at(search[at.OWN_MARGINS]), (search[at.VARIED],))
                 found, valid, low = walk(
-                    nodes, corners, order, slivers, edges, margin, highest, own, lowered, False,
-                    here, radius + more, wider * standoff, thickness, EASE, planes, m, queue,
-                    polygons,
+                    nodes, corners, order, slivers, edges, shape_of(search, blend), margin, highest,
+                    own, lowered, False, here, radius + more, wider * standoff, thickness, ease,
+                    planes, m, queue, polygons,
                 )  # fmt: skip
             elif tip and len(ends) == 3:
                 walls = numba.carray(floats_at(search[at.WALLS]), (search[at.WALL_COUNT], WALL))
@@ -214,6 +253,7 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                 space = min(space, _room(planes[i], here) - max(planes[i, at.PUSH] - low, 0.0))
                 planes[i, at.PUSH] = 0.0
                 if searches[f, at.MOVES] > 0:
+                    shift(planes[i], dx, dy, dz, wx, wy, wz)
                     put(planes[i], motions[f])
             if space - thickness < wider * standoff or low > lowered:
                 close += 1
@@ -278,8 +318,10 @@ def _set_ball(numbers, jacobians, guards, table, first, second):  # type: ignore
     far = 0.0
     bulge = 0.0
     for p in (first, second):
-        far = max(far, farthest(jacobians[p], table[at.SPEED]))
-        bulge = max(bulge, sagitta(jacobians[p], table[at.SPEED], 1.0, table[at.TURNS]))
+        bend = sagitta(jacobians[p], table[at.SPEED], 1.0, table[at.TURNS])
+        # A path leaves its tangent by four times as much as its chord.
+        far = max(far, widest(jacobians[p], table[at.SPEED]) + 4.0 * bend)
+        bulge = max(bulge, bend)
     if numbers[at.ASKED] > 0.0:
         far = min(far, numbers[at.ASKED])
     radius = max(far, 2.0 * numbers[at.STANDOFF])

@@ -17,9 +17,10 @@ from vf import layout as at
 from vf.kernels import floats_at, integers_at, njit
 from vf.qp.problem import height
 from vf.rules.certified import HEAP
-from vf.tick.moving import bend, distance, into
+from vf.tick.moving import bend, distance, into, shape_of, shift_of
 from vf.tree.axis import box_gap2, triangle_gap2
 from vf.tree.pdtree import children_of, triangles_of
+from vf.tree.shapes import place_boxes, place_corners
 
 # A body on its way is never this close, as a share of the standoff.
 CLEAR = 0.1
@@ -135,6 +136,13 @@ def _clear(search, motion, places, trials, bulges, guards, body, hair, queue):  
         bulge = max(bulge, more)
         pace = max(pace, distance(start[k], end[k]))
     rim = guards[body[at.FIRST], at.THICKNESS] + bulge
+    first_blend = last_blend = 0.0
+    if search[at.MOVES] > 0 and search[at.FACES] != 0:
+        first_blend, last_blend = motion[at.BLEND], motion[at.BLEND_AFTER]
+        a, b = start[0], start[1]
+        ends = (a[0], a[1], a[2], b[0], b[1], b[2])
+        # What is farther than the axis goes does not come to it, and the rest is no faster.
+        pace += shift_of(search, motion, ends, rim + pace + hair)[0]
     limit = rim + pace + hair
     done = 0.0
     here = np.empty((2, 3))
@@ -142,7 +150,8 @@ def _clear(search, motion, places, trials, bulges, guards, body, hair, queue):  
         for k in range(2):
             for c in range(3):
                 here[k, c] = start[k, c] + done * (end[k, c] - start[k, c])
-        room = gap(nodes, corners, slivers, here, limit, queue) - rim
+        shape = shape_of(search, (1.0 - done) * first_blend + done * last_blend)
+        room = gap(nodes, corners, slivers, shape, here, limit, queue) - rim
         if not room > hair:
             return False
         if done >= 1.0 or room >= pace:
@@ -189,6 +198,7 @@ def add_overlaps(words, numbers, ends, guards):  # type: ignore[no-untyped-def]
             search = searches[f]
             if search[at.KIND] != at.MESH or (b >= 0 and search[at.TOOL] == 0):
                 continue
+            blend = motions[f, at.BLEND_AFTER] if search[at.MOVES] > 0 else 0.0
             for k in range(2):
                 x = ends[first] if k == 0 else ends[second]
                 axis[k] = x
@@ -197,17 +207,20 @@ def add_overlaps(words, numbers, ends, guards):  # type: ignore[no-untyped-def]
             nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
             corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
             slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
-            apart = gap(nodes, corners, slivers, axis, thickness, queue)
+            shape = shape_of(search, blend)
+            apart = gap(nodes, corners, slivers, shape, axis, thickness, queue)
             # Where the axis meets the mesh, what it missed its planes by comes on top.
             deep = thickness - apart + (missed if apart == 0.0 else 0.0)
             numbers[at.VIOLATION] = max(numbers[at.VIOLATION], deep)
 
 
 @njit(cache=True)
-def gap(nodes, corners, slivers, axis, limit, queue):  # type: ignore[no-untyped-def]
+def gap(nodes, corners, slivers, shape, axis, limit, queue):  # type: ignore[no-untyped-def]
     """Distance of an axis (2, 3) to the mesh [m], or a little less; `limit` if it is farther."""
     ends = (axis[0, 0], axis[0, 1], axis[0, 2], axis[1, 0], axis[1, 1], axis[1, 2])
     best = limit * limit
+    if shape[0] != 0:
+        place_boxes(shape, 0, 1)
     queue[0, 0] = 0.0
     size = 1
     while size > 0:
@@ -218,6 +231,8 @@ def gap(nodes, corners, slivers, axis, limit, queue):  # type: ignore[no-untyped
         link = nodes[node, 15]
         if link > 0.0:
             first, last = children_of(link)
+            if shape[0] != 0:
+                place_boxes(shape, first, last)
             if size + last - first >= HEAP:
                 return 0.0
             for child in range(first, last):
@@ -227,6 +242,8 @@ def gap(nodes, corners, slivers, axis, limit, queue):  # type: ignore[no-untyped
                     size += 1
         else:
             first, last = triangles_of(link)
+            if shape[0] != 0:
+                place_corners(shape, first, last)
             for t in range(first, last):
                 best = min(best, triangle_gap2(corners, t, slivers, ends))
     return np.sqrt(best)

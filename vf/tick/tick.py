@@ -16,7 +16,18 @@ from vf.kernels import floats_at, integers_at, njit, now
 from vf.planes import LARGEST
 from vf.qp.problem import JOINT_RANGE, desired_step, fill_rows, obeys, usable
 from vf.qp.solver import Solver
-from vf.tick.attempts import ask, bisect, next_attempt, set_trial, settle, shortened
+from vf.tick.attempts import (
+    ask,
+    ask_to_recover,
+    bisect,
+    next_attempt,
+    note_gains,
+    recovers,
+    set_recovery,
+    set_trial,
+    settle,
+    shortened,
+)
 from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
 from vf.tick.moving import set_carries
 from vf.tick.report import write_report
@@ -140,12 +151,22 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
         if moving:
             set_carries(words, planes, places)
         numbers[at.DISTANCE], numbers[at.DEFICIT] = fill_rows(
-            planes, m, places, jacobians, numbers[at.STANDOFF], guards, moving, rows, bounds
+            planes,
+            m,
+            places,
+            jacobians,
+            numbers[at.STANDOFF],
+            guards,
+            moving,
+            numbers[at.APPROACH],
+            rows,
+            bounds,
         )
         if moving:
             lead_out(words, planes, m, places, guards, rows, bounds, table)
             ask_at_contacts(planes, m, places, guards, rows, bounds)
             bound_speed(planes, m, bounds, table)
+        note_gains(words, numbers, bounds)
         words[at.STAGE] = at.WHOLE
         if ask(words, numbers, table, bounds, scratch, multipliers):
             return -at.SOLVED
@@ -186,12 +207,22 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                     continue
                 moves = shortened(numbers, table, J, scratch, at.STEP)
                 numbers[at.MARKS + 2] = now()
-                if (not moves and words[at.MOVING] == 0) or words[at.STUCK] > 0:
+                stays = not moves and words[at.MOVING] == 0 and words[at.RECOVERS] == 0
+                if stays or words[at.STUCK] > 0:
                     numbers[at.SHARE] = 0.0 if words[at.STUCK] > 0 else 1.0
                     table[at.TRIAL] = table[at.POSITION]
                     tip[:] = start
                     return _end(words, numbers, table, goal, tip, planes, places, guards)
                 set_trial(numbers, table, jacobians, at.STEP, 1.0, bulges)
+            elif words[at.STAGE] == at.RECOVERY:
+                infeasible = words[at.SOLVER] == INFEASIBLE
+                if infeasible and words[at.TRIES] == 0:
+                    ask_to_recover(words, numbers, table, scratch, multipliers)
+                    if words[at.LEFT] > 0:
+                        return -at.SOLVED
+                    continue
+                if not set_recovery(words, numbers, table, J, jacobians, bulges, scratch):
+                    bisect(words, numbers, table, start, jacobians, bulges)
             elif words[at.SOLVER] == INFEASIBLE:
                 if words[at.MOVING] > 0 and not still_obeys(
                     words, numbers, planes, places, guards, bulges
@@ -200,6 +231,11 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                         words, numbers, table, goal, start, tip, planes, places, trials, jacobians,
                         guards, bulges,
                     )  # fmt: skip
+                if words[at.RECOVERS] > 0:
+                    ask_to_recover(words, numbers, table, scratch, multipliers)
+                    if words[at.LEFT] > 0:
+                        return -at.SOLVED
+                    continue
                 bisect(words, numbers, table, start, jacobians, bulges)
             else:
                 shortened(numbers, table, J, scratch, at.OTHER)
@@ -222,6 +258,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
                     keep_least(words, numbers, table, tip, short)
             if allowed and words[at.INSIDE] > 0:
                 return -at.JUDGED
+            if allowed and words[at.RECOVERS] > 0:
+                allowed = _recovers(words, numbers, planes, places, trials, guards, bulges)
         else:
             allowed = words[at.ANSWER] > 0
         if allowed and words[at.STAGE] < at.PART:
@@ -283,6 +321,15 @@ def _end(words, numbers, table, goal, tip, planes, ends, guards):  # type: ignor
         if numbers[at.VIOLATION] > 0.0:
             words[at.YIELDS] = 1
     return write_report(words, numbers, table, goal, tip, planes, ends[0])
+
+
+@njit(cache=True)
+def _recovers(words, numbers, planes, places, trials, guards, bulges):  # type: ignore[no-untyped-def]
+    """Whether a step that is allowed may be taken below the standoff, see `attempts`."""
+    if words[at.STAGE] == at.RECOVERY or recovers(words, planes, places, trials):
+        return True
+    # Where standing still is not allowed any step that is will do: a structure is coming.
+    return words[at.MOVING] > 0 and not still_obeys(words, numbers, planes, places, guards, bulges)
 
 
 @njit(cache=True)

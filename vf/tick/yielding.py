@@ -62,6 +62,7 @@ def begin_to_yield(words, numbers, table, scratch, multipliers):  # type: ignore
     for i in range(words[at.COUNT]):
         numbers[at.HIGH] = max(numbers[at.HIGH], bounds[i])
     table[at.STEP] = 0.0
+    words[at.RECOVERS] = 0
     words[at.STAGE] = at.YIELDING
     words[at.TRIES] = 0
     _ask_half(words, numbers, table, scratch, multipliers)

@@ -43,6 +43,20 @@ def lowest(nx, ny, nz, ends):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def out_of_reach(nodes, ends, reach):  # type: ignore[no-untyped-def]
+    """Whether all of a tree is certainly farther than `reach` [m] from an axis, by two balls."""
+    half2 = box2 = gap2 = 0.0
+    for k in range(3):
+        a, b = ends[k], ends[len(ends) - 3 + k]
+        half2 += 0.25 * (b - a) * (b - a)
+        gap2 += (0.5 * (a + b) - nodes[0, k]) ** 2
+        box2 += nodes[0, 3 + k] * nodes[0, 3 + k]
+    # Rounding is a few units in the last place of coordinates up to 10 km.
+    far = np.sqrt(half2) + np.sqrt(box2) + reach + 1e-8
+    return gap2 * (1.0 - 1e-9) > far * far
+
+
+@njit(cache=True, nogil=True)
 def box_gap2(nodes, node, ends):  # type: ignore[no-untyped-def]
     """Squared distance to the box of a node, or less (0 inside)."""
     if len(ends) == 3:

@@ -61,6 +61,23 @@ class Runtime(Checked):
 
 
 @dataclass(frozen=True)
+class Structures(Checked):
+    """Ticks over many structures, in reach and out of reach, beside those over one large mesh."""
+
+    mesh: str | None = option(Maybe(File()), None, _SHAPE)
+    unit: str | None = like(Options, "unit", about=_SCALED)
+    count: int = option(Whole(1, 65), 20, "Structures.")
+    size: int = option(_SIZE, SIZES[0], "Triangles of each.")
+    large: int = option(_SIZE, SIZES[-1], "Triangles of the large mesh.")
+    radius: float | None = option(Maybe(_RADIUS, "auto"), 5e-3, "Radius of the motion sphere.")
+    ticks: int = option(
+        Whole(1, 10**7), 2400, "Ticks of each row and pass: 200 for each spot of the route."
+    )
+    passes: int = option(Whole(1, 1000), 3, "Repetitions of all rows.")
+    out: pathlib.Path = option(Path(), _OUT, "Folder for structures.json.")
+
+
+@dataclass(frozen=True)
 class Peers(Checked):
     """The same queries and problems with other libraries; answers are compared before times."""
 

@@ -25,10 +25,10 @@ from typing import Any
 import robots
 import vf
 from app.control.clock import Timing
-from app.control.engine import Orders, Plant, State
+from app.control.engine import Orders, Plant
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
-from app.control.messages import Command, Telemetry
+from app.control.messages import Command, State, Telemetry
 from app.control.plant import assemble
 from app.control.priority import BUILD_PRIORITY, raise_process_priority, raise_thread_priority
 from app.control.process import surfaces, wire

@@ -18,10 +18,10 @@ from typing import Any
 
 import vf
 from app.control.clock import SKIPPED, TICKED, Clock
-from app.control.engine import Orders, Plant, State
+from app.control.engine import Orders, Plant
 from app.control.host import Host
 from app.control.mailbox import Mailbox
-from app.control.messages import LoopStats, Telemetry
+from app.control.messages import LoopStats, State, Telemetry
 from app.control.plant import describe
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.control.process import surfaces, wire

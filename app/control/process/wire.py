@@ -13,8 +13,8 @@ import pinocchio as pin
 
 import vf
 from app.control.clock import Timing
-from app.control.engine import Engine, Orders, Plant, State
-from app.control.messages import Command, LoopStats, Telemetry
+from app.control.engine import Engine, Orders, Plant
+from app.control.messages import Command, LoopStats, State, Telemetry
 
 # Number of the orders and of their plant; driven, clutch, held, paused, autopilot, lock, moving;
 # sequence, steps, resets; stamp, scale, pace; target (3, 4).

@@ -33,6 +33,7 @@ class Trial(Checked):
         seed: of everything random.
         rate: ticks per second [Hz].
         length: of the planned cut, None: all of it [m].
+        margin: the guard adds the margin map of the registration with this factor; 0: none.
 
     Raises:
         OptionError: an invalid value.
@@ -57,6 +58,10 @@ class Trial(Checked):
         Maybe(Length(1e-3, 30e-3), "all"), None,
         "How much of the planned cut is done, such as 5mm, or all of it.",
     )  # fmt: skip
+    margin: float = option(
+        Number(0.0, 10.0), 0.0,
+        "Factor of the margin map over the target registration error; 0: no margins.",
+    )  # fmt: skip
 
     @property
     def key(self) -> str:
@@ -66,6 +71,7 @@ class Trial(Checked):
             f"{self.experiment}-{self.mesh}-{self.rule}-noise{self.noise * 1e6:g}um"
             f"-width{self.width * 1e6:g}um-{length}-{self.rate:g}hz"
             f"-seed{self.seed}-operator{self.operator}-{self.number}"
+            + (f"-margin{self.margin:g}" if self.margin else "")
         )
 
     @property
@@ -76,7 +82,8 @@ class Trial(Checked):
         """The random generator for one purpose.
 
         Tracing is compared in pairs: trials that differ only in the rule have the same generator.
-        Cutting trials, each on a new skull, all have different ones.
+        Cutting trials, each on a new skull, all have different ones; those that differ only in
+        the margin have the same, as they are compared in pairs.
         """
         import numpy as np
 

@@ -1,4 +1,4 @@
-"""Tests after a trial whether the tip crossed the registered surface or left the corridor.
+"""Tests after a trial whether the tip crossed a surface or left the corridor, and how far.
 
 Shares no code with the fixtures: candidates come from `app.judges.boxes` and are tested one by one,
 in rational arithmetic where rounding leaves the answer open; the corridor is tested by the distance
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.judges import boxes, exact
+from app.judges import boxes, exact, nearest
 from app.judges.boxes import list_near
 from app.judges.oracles import touches
 from vf.kernels import njit
@@ -32,6 +32,11 @@ def crossings(vertices: FloatArray, faces: NDArray[np.int64], points: FloatArray
     return int(count) + sum(
         exact.meets(points[i], points[i + 1], vertices[faces[t]]) for i, t in doubtful[:doubts]
     )
+
+
+def heights(vertices: FloatArray, faces: NDArray[np.int64], points: FloatArray) -> FloatArray:
+    """Distance (n,) [m] of points (n, 3) from a smooth surface; negative: beyond it."""
+    return nearest.signed(boxes.build(vertices, faces), points)
 
 
 def outside(path: FloatArray, points: FloatArray, width: float) -> int:

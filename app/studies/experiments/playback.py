@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 import meshes
 from app.scene.outside import shows_fronts_only
+from app.scene.registered import ranges
 from app.scene.scene import Scene
 from app.settings import Options
+from app.structure import Registration
 from app.studies.experiments import protocol, site
 from app.studies.experiments.protocol import Recorded, Trial
 
@@ -39,6 +41,7 @@ class Playback:
 
 def options(trial: Trial) -> Options:
     """Settings of a session with the trial's controller, which guards the tip alone."""
+    with_margins = trial.margin > 0.0 and trial.noise >= protocol.LEAST_NOISE
     return Options(
         mesh="skull-precut" if trial.experiment == "tracing" else trial.mesh,
         robot="psm",
@@ -47,7 +50,11 @@ def options(trial: Trial) -> Options:
         radius=protocol.RADIUS,
         rate=trial.rate,
         corridor=trial.width if trial.assisted else None,
-    )
+        registration=None if not with_margins else Registration(
+            tuple(map(tuple, site.build(trial.mesh, trial.length).fiducials.tolist())),
+            trial.noise, trial.margin,
+        ),
+    )  # fmt: skip
 
 
 def scene(recorded: Recorded) -> Scene:
@@ -61,10 +68,12 @@ def scene(recorded: Recorded) -> Scene:
     shown, faces_shown, decimated = meshes.display(
         meshes.transformed(place.T_base_skull, vertices), faces
     )
+    surface = place.guarded(recorded.T_base_registered)
+    added = protocol.margin_map(trial, recorded.T_base_registered)
     return Scene(
         version=1,
         mesh_name=options(trial).mesh,
-        surface=place.guarded(recorded.T_base_registered),
+        surface=surface,
         T_base_mesh=place.T_base_skull,
         planned_path=place.planned.moved(recorded.T_base_registered).points,
         vertices_shown=shown,
@@ -81,4 +90,6 @@ def scene(recorded: Recorded) -> Scene:
         T_base_start=place.T_base_start,
         autopilot=Playback(place.T_base_start.rotation, recorded.run.goals, trial.rate),
         options=options(trial),
+        added=added,
+        added_range=ranges(added, [trial.mesh], [surface]),
     )

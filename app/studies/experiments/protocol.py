@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 
 LONGEST = 1e6  # of simulated or computing time [s]
 RADIUS = 5e-3  # of the motion sphere, as in the paper [m]
+LEAST_NOISE = 1e-6  # with less localisation error nothing is added [m]
 SAMPLED = 100.0  # sampling rate of smoothness and stored trajectories [Hz]
 OPERATOR_SPREAD = 0.15  # log-normal spread of the calibrated values among operators, assumed
 
@@ -97,6 +98,8 @@ class Outcome:
         fre, tre: errors of the registration, at the fiducials and along the cut.
         stations, deviation, penetration: of the cut, signed; NaN where no bone was cut.
         removed: volume of bone [m³].
+        injured: ticks with the tip beyond the true inner surface (by `judge`).
+        deepest: how far at most; negative: it came no nearer than that.
         crossings: steps of the tip that met the registered surface (by `judge`, assisted only).
         outside: ticks outside the registered corridor (by `judge`, assisted only).
         ticks, statuses: of the controller.
@@ -116,6 +119,8 @@ class Outcome:
     deviation: FloatArray = option(Table(-1.0, 1.0, rows=1))
     penetration: FloatArray = option(Table(-1.0, 1.0, rows=1))
     removed: float = option(Number(0.0, 1.0, "m³"))
+    injured: int = option(_COUNT)
+    deepest: float = option(Length(-1.0, 1.0))
     crossings: int = option(_COUNT)
     outside: int = option(_COUNT)
     ticks: int = option(_COUNT)
@@ -195,8 +200,10 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
     fixtures: list[vf.Fixture] = []
     if trial.assisted:
         guarded = place.guarded(found.T)
+        added = margin_map(trial, found.T)
+        margin = 0.0 if added is None else added.at(guarded.vertices)
         fixtures = [
-            vf.MeshFixture(guarded, trial.rule, RADIUS),
+            vf.MeshFixture(guarded, trial.rule, RADIUS, margin=margin),
             corridor(guarded, believed.points, trial.width),
         ]
     arm = ControlledArm(place.arm, fixtures, place.T_base_start, 1.0 / trial.rate)
@@ -214,8 +221,9 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
     driving = time.thread_time() - driving
     path = np.vstack([place.T_base_start.translation, done.tips])
     crossings = outside = 0
+    vertices, faces = place.inner
+    heights = judge.heights(meshes.transformed(place.T_base_skull, vertices), faces, done.tips)
     if trial.assisted:
-        vertices, faces = place.inner
         crossings = judge.crossings(meshes.transformed(found.T, vertices), faces, path)
         outside = judge.outside(believed.points, path, trial.width)
     cut = cutting.kerf(truth, done.tips)
@@ -234,6 +242,8 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
         deviation=cut.deviation,
         penetration=cut.penetration,
         removed=float(np.nansum(cut.area) * cutting.INTERVAL),
+        injured=int((heights < 0.0).sum()),
+        deepest=-float(heights.min()),
         crossings=crossings,
         outside=outside,
         ticks=len(done.tips),
@@ -245,6 +255,17 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
         trajectory=_along(truth, sampled, trial.rate / every),
     )
     return Recorded(outcome, done, np.concatenate(arm.joints), found.T, truth)
+
+
+def margin_map(trial: Trial, T: FloatArray) -> meshes.MarginMap | None:
+    """The margins of a trial's registration for a skull at T (4, 4), base frame; None: none.
+
+    The localisation error is known to the guard, as if it had been measured before.
+    """
+    if not trial.margin or trial.noise < LEAST_NOISE:
+        return None
+    place = site.build(trial.mesh, trial.length)
+    return meshes.margin_map(place.fiducials, trial.noise, trial.margin).moved(T)
 
 
 def operator_of(trial: Trial) -> Operator:

@@ -73,6 +73,24 @@ def boxes(outcomes: Sequence[Outcome]) -> str:
     return _svg(figure)
 
 
+def pairs(without: Sequence[Outcome], with_margins: Sequence[Outcome]) -> str:
+    """Deepest point and path deviation of each cut, without and with margins, joined; as SVG."""
+    figure, axes = _axes((1, 2), (9.0, 3.8))
+    for ax, values, title in (
+        (axes[0], lambda o: 1e3 * o.deepest, "deepest point beyond the true inner surface"),
+        (axes[1], lambda o: analysis.deviations([o]).mean(), "|cutting-path deviation|"),
+    ):
+        for before, after in zip(without, with_margins, strict=True):
+            ax.plot([1, 2], [values(before), values(after)], lw=0.7, marker="o", ms=3,
+                    color=COLORS[True], alpha=0.6)  # fmt: skip
+        ax.set_xticks([1, 2], ["without margins", "with margins"])
+        ax.set_xlim(0.6, 2.4)
+        ax.set_title(title, fontsize=10)
+        ax.set_ylabel("[mm]")
+    axes[0].axhline(0.0, color="#555", lw=0.8)
+    return _svg(figure)
+
+
 def speeds(outcomes: Sequence[Outcome]) -> str:
     """Spectra of the tip's speed, whose arc length is the smoothness, as SVG."""
     figure, axes = _axes(1, (9.0, 3.4))

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from app.console import Column, count, show_table
+from app.studies.experiments.description import Trial
 from app.studies.experiments.operators import Operator
 from app.studies.experiments.protocol import Outcome
 from app.studies.results import analysis
@@ -55,14 +56,21 @@ def write(outcomes: Sequence[Outcome], out: Path) -> list[Path]:
 
     The report is omitted if matplotlib is not installed.
     """
+    return write_with(render, outcomes, out)
+
+
+def write_with(
+    rendered: Callable[[Sequence[Outcome]], str], outcomes: Sequence[Outcome], out: Path
+) -> list[Path]:
+    """`write` with another report."""
     out.mkdir(parents=True, exist_ok=True)
     written = [_trials(outcomes, out), _stations(outcomes, out), _trajectories(outcomes, out)]
     try:
-        page = render(outcomes)
+        text = rendered(outcomes)
     except ImportError:
         return written
     path = out / "report.html"
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     return [*written, path]
 
 
@@ -83,10 +91,22 @@ def render(outcomes: Sequence[Outcome]) -> str:
               ("At the stations (the paper's Fig. 12)", figures.boxes(outcomes)),
               ("Over the skull's cross-section", figures.section(outcomes))]
     )  # fmt: skip
-    head = "".join(f"<th>{html.escape(c)}</th>" for c in _COLUMNS)
+    cells = [_cells(line) for line in lines(outcomes)]
+    return page(_title(outcomes), _COLUMNS, cells, _verdicts(outcomes), pictures, outcomes[0].trial)
+
+
+def page(
+    title: str,
+    columns: Sequence[str],
+    cells: Sequence[Sequence[str]],
+    verdicts: Sequence[str],
+    pictures: Sequence[tuple[str, str]],
+    trial: Trial,
+) -> str:
+    """A report as one page of HTML: a table, sentences, and figures with their titles as SVG."""
+    head = "".join(f"<th>{html.escape(c)}</th>" for c in columns)
     rows = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in _cells(line)) + "</tr>"
-        for line in lines(outcomes)
+        "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in cells
     )
     parameters = "".join(
         f"<tr><td>{html.escape(f.name)}</td><td>{f.default:.4g} {html.escape(f.metadata['unit'])}"
@@ -94,21 +114,21 @@ def render(outcomes: Sequence[Outcome]) -> str:
         f"<td>{html.escape(f.metadata['source'])}</td></tr>"
         for f in dataclasses.fields(Operator)
     )
-    verdicts = "".join(f"<p>{html.escape(line)}</p>" for line in _verdicts(outcomes))
-    drawn = "".join(f"<h2>{html.escape(title)}</h2>{svg}" for title, svg in pictures)
-    trial = json.dumps(dataclasses.asdict(outcomes[0].trial))
+    said = "".join(f"<p>{html.escape(line)}</p>" for line in verdicts)
+    drawn = "".join(f"<h2>{html.escape(name)}</h2>{svg}" for name, svg in pictures)
+    first = json.dumps(dataclasses.asdict(trial))
     return (
         "<!doctype html><html lang='en'><meta charset='utf-8'>"
-        f"<title>{html.escape(_title(outcomes))}</title><style>"
+        f"<title>{html.escape(title)}</title><style>"
         "body{font:15px/1.45 system-ui,sans-serif;max-width:960px;margin:2em auto;padding:0 1em}"
         "table{border-collapse:collapse;font-size:13px}td,th{padding:.25em .6em;text-align:right;"
         "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}"
         ".p td{text-align:left}svg{max-width:100%;height:auto}.c{background:#fff3e0;padding:.6em}"
-        f"</style><h1>{html.escape(_title(outcomes))}</h1><p class='c'>{html.escape(CAVEAT)}</p>"
-        f"<table><tr>{head}</tr>{rows}</table>{verdicts}{drawn}"
+        f"</style><h1>{html.escape(title)}</h1><p class='c'>{html.escape(CAVEAT)}</p>"
+        f"<table><tr>{head}</tr>{rows}</table>{said}{drawn}"
         "<h2>The operator</h2><table class='p'><tr><th>parameter</th><th>value</th><th>what</th>"
         f"<th>source</th></tr>{parameters}</table>"
-        f"<p>First trial: <code>{html.escape(trial)}</code></p></html>\n"
+        f"<p>First trial: <code>{html.escape(first)}</code></p></html>\n"
     )
 
 
@@ -158,8 +178,8 @@ def _pair(value: Value) -> str:
 def _trials(outcomes: Sequence[Outcome], out: Path) -> Path:
     path = out / "trials.csv"
     scalars = (
-        "duration", "finished", "sal", "sparc", "fre", "tre", "removed", "crossings", "outside",
-        "ticks", "submovements", "corrections", "driving",
+        "duration", "finished", "sal", "sparc", "fre", "tre", "removed", "injured", "deepest",
+        "crossings", "outside", "ticks", "submovements", "corrections", "driving",
     )  # fmt: skip
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -71,7 +71,7 @@ def drive(
         result.episodes += 1
         fixture = vf.MeshFixture(surface, "certified", radius)
         controller = vf.Controller(arm, [fixture], settings)
-        hand = _goals(rng, surface, own, q)
+        hand = goals(rng, surface, own, q)
         next(hand)
         length = min(EPISODE, steps - result.ticks)
         for _ in range(length):
@@ -205,7 +205,7 @@ class _Starts:
                     out = rng.normal(size=3)
                 out /= np.linalg.norm(out)
                 side = 1.0 if rng.random() < 0.7 else -1.0
-                turn = _turned(side * normal / size, out, rng)
+                turn = turned(side * normal / size, out, rng)
                 scale = 1.0 if attempt < TRIES // 2 else 0.5 ** rng.integers(1, 4)
                 spot = rng.dirichlet([1.0, 1.0, 1.0]) @ corners
                 gap = arm.capsules[k].radius + rng.uniform(*GAPS)
@@ -229,13 +229,13 @@ class _Starts:
         return True
 
 
-def _turned(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> FloatArray:
+def turned(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> FloatArray:
     """A random rotation (3, 3) that takes the unit vector a to b."""
     turn = pin.exp3(rng.uniform(-np.pi, np.pi) * b)
     return np.asarray(turn @ pin.Quaternion.FromTwoVectors(a, b).toRotationMatrix())
 
 
-def _goals(
+def goals(
     rng: np.random.Generator, surface: vf.Surface, arm: robots.Arm, q: FloatArray
 ) -> Generator[pin.SE3, FloatArray, None]:
     """Endless proxy poses for the joints (n,) sent: those of `hands`, and pushes of other parts."""

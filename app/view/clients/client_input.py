@@ -1,4 +1,4 @@
-"""Input from clients: drags of the gizmo and other orders, run in sequence off the event loop."""
+"""Input from clients: drags of the proxy and other orders, run in sequence off the event loop."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 import viser
-from numpy.typing import NDArray
 
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.refused import Refused
@@ -24,13 +24,16 @@ log = logging.getLogger(__name__)
 
 Notify = Callable[[viser.ClientHandle | None, str], None]
 
+GIZMO = "gizmo"  # what is dragged
+
 
 class ClientInput:
-    """Runs what clients order, and decides which client drags the gizmo.
+    """Runs what clients order, and decides which client drags the proxy.
 
-    The first client to grab the gizmo owns it until it releases it or disconnects. Drags by other
-    clients are ignored; their gizmo is reset when they release it. If the owner disconnects during
-    a drag, its last command becomes stale and the control loop holds the tool.
+    The first client to grab it, by the gizmo or by the tool, owns it until it releases it or
+    disconnects. Drags by other clients are ignored; their gizmo is reset when they release it. If
+    the owner disconnects during a drag, its last command becomes stale and the control loop holds
+    the tool.
 
     Attributes:
         moved: set when the handle has moved; the view thread waits for it and draws.
@@ -46,6 +49,7 @@ class ClientInput:
             1, "input", initializer=raise_thread_priority, initargs=(VIEW_PRIORITY,)
         )
         self._owner: int | None = None  # written by the worker only
+        self._grip = ""  # what the owner drags
         self._shown: pin.SE3 | None = session.handle  # of the gizmo on the pages; None: unknown
         self._refusal_shown = False
         self.moved = threading.Event()
@@ -54,7 +58,8 @@ class ClientInput:
         async def _moved(event: viser.TransformControlsEvent) -> None:
             # Copied on the event loop, so that both are of one update.
             wxyz, position = np.array(event.target.wxyz), np.array(event.target.position)
-            self.submit(self._drag, event.client, event.client_id, event.phase, wxyz, position)
+            read = partial(pose_from_view, wxyz, position)
+            self.submit(self.drag, GIZMO, event.client, event.client_id, event.phase, read)
 
     def submit(self, order: Callable[..., object], *arguments: object) -> None:
         """Queue an order for the worker; ignored after `close`."""
@@ -89,6 +94,8 @@ class ClientInput:
                 self._session.touch()
             else:
                 self.submit(self._release, owner)
+            if self._grip != GIZMO:
+                self._proxy.place(self._session.handle)
             return
         handle = target if autopilot and target is not None else self._session.handle
         if self._shown is None or not same_pose(handle, self._shown):
@@ -113,18 +120,24 @@ class ClientInput:
         if self._owner == owner:
             self._owner = self._shown = None
 
-    def _drag(
+    def drag(
         self,
+        grip: str,
         client: viser.ClientHandle | None,
         client_id: int,
         phase: str,
-        wxyz: NDArray[np.float64],
-        position: NDArray[np.float64],
-    ) -> None:
+        read: Callable[[], pin.SE3],
+    ) -> bool:
+        """On the worker: one message of a drag, "start", "update" or "end"; whether it counts.
+
+        Args:
+            grip: what is dragged. A pointer may be over two things; the first of them counts.
+            read: the pose of the handle, base frame; raises ValueError where it is not one.
+        """
         if self._owner is None and phase == "start":
             if self._session.latest().autopilot:
                 self._session.set_autopilot(False)
-            self._owner = client_id
+            self._owner, self._grip = client_id, grip
             self._refusal_shown = False
         if self._owner != client_id:
             if phase == "start":
@@ -134,14 +147,18 @@ class ClientInput:
                     "lets go.",
                 )
             self._shown = None
-            return
+            return False
+        if grip != self._grip:
+            self._shown = None
+            return False
         if phase == "end" and client_id not in self._server.get_clients():
             self._release(client_id)  # viser itself ends the drags of clients that disconnect
-            return
+            return False
         try:
-            handle = pose_from_view(wxyz, position)
+            handle = read()
             self._session.drive(handle, held=phase != "end")
-            self._shown = handle
+            # What the client sees of the gizmo is where it dragged it to, and only then.
+            self._shown = handle if grip == GIZMO else None
             self.moved.set()
         except ValueError as error:
             self._shown = None  # the next `update` after the drag restores the pose
@@ -154,3 +171,4 @@ class ClientInput:
         if phase == "end":
             # The view thread may have placed the gizmo just as it was grabbed: place it again.
             self._owner = self._shown = None
+        return True

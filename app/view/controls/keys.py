@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.session import Session
+from app.view.camera import viewer_axes
 from app.view.clients.client_input import ClientInput, Notify
 
 FloatArray = NDArray[np.float64]
@@ -111,18 +112,3 @@ class Keys:
 
     def _rule(self, rule: str, _client: viser.ClientHandle) -> None:
         self._session.set(rule=rule)
-
-
-def viewer_axes(wxyz: FloatArray) -> FloatArray:
-    """The level axes right, away and up (+z) of a viewer, as columns (3, 3).
-
-    Args:
-        wxyz: (4,) the camera's orientation, +z forward and +x right as in viser.
-    """
-    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
-    right = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 0.0])
-    # The camera's +x axis, projected to the horizontal plane.
-    length = np.linalg.norm(right)
-    right = right / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    return np.column_stack([right, np.cross(up, right), up])

@@ -38,12 +38,14 @@ RADII: dict[str, float | None] = {
 CUSTOM = "other"
 
 # Order of the first lines of the panel; all other controls follow in the order of creation.
-_TITLE_LINE, CLIENTS, BANNER, RESTART, DEVICES, _HELP_LINE = -4.0, -3.0, -2.0, -1.75, -1.5, -1.0
+_TITLE_LINE, CLIENTS, BANNER, MARGINS, RESTART, DEVICES, _HELP_LINE = (
+    -4.0, -3.0, -2.0, -1.9, -1.75, -1.5, -1.0,
+)  # fmt: skip
 
 _TITLE = (
     "<div class='vf-title' style='margin:0 .75em .4em;font-size:12.5px;line-height:1.35;"
-    "color:var(--vf-ink)'>Drag the gizmo (the proxy) into the bone: the tool follows until the "
-    "fixture’s planes stop it.</div>"
+    "color:var(--vf-ink)'>Drag the tool, or the gizmo (the proxy), into the bone: the tool follows "
+    "until the fixture’s planes stop it.</div>"
 )
 _NOTE = "margin:0 .75em .3em;font-size:11.5px;line-height:1.3;color:var(--vf-faint)"
 

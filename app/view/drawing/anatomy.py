@@ -9,13 +9,16 @@ import numpy as np
 import pinocchio as pin
 import viser
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import vf
 from app.judges.meeting import sees
 from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
+from app.view.drawing.heat.bands import Scale
+from app.view.drawing.heat.layer import Heat
 from app.view.drawing.nodes import place
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, to_buffer
@@ -24,7 +27,28 @@ TRANSLUCENT = 0.3
 GHOST_OPACITY = 0.25
 GHOST_SIZE = 0.999  # where both coincide, the structure itself is seen
 HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
+RESHAPED = 0.08  # between two shapes of a structure that deforms, on the page [s]
 TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
+
+
+class Follows:
+    """What is drawn of a mesh, as the mesh deforms: each vertex goes with the nearest of the mesh.
+
+    Args:
+        vertices, shown: (n, 3) and (k, 3) at rest, of the mesh and of what is drawn [m].
+    """
+
+    def __init__(self, vertices: NDArray[np.float64], shown: NDArray[np.float64]) -> None:
+        self.due = -np.inf  # monotonic time of the next shape [s]
+        self.phase = -1.0  # of the motion, of the shape that was drawn last [s]
+        self._vertices, self._shown = vertices, shown
+        self._of = np.asarray(cKDTree(vertices).query(shown)[1])
+
+    def shape(self, vertices: NDArray[np.float64], size: float = 1.0) -> NDArray[np.float64]:
+        """What is drawn (k, 3) of a shape (n, 3) [m], `size` times as large."""
+        found = self._shown + (vertices - self._vertices)[self._of]
+        middle = 0.5 * (found.min(axis=0) + found.max(axis=0))
+        return np.asarray(middle + size * (found - middle))
 
 
 class _Drawn:
@@ -39,6 +63,7 @@ class _Drawn:
         self.whole = True  # not cut
         self.pose: pin.SE3 | None = None  # T_rest_now; None: it rests
         self.ghost: viser.MeshHandle | None = None  # where the guard believes it
+        self.follows: Follows | None = None  # how what is drawn of it deforms
 
     def hides(self, eyes: Sequence[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> bool:
         return self.whole and any(
@@ -61,6 +86,15 @@ class Anatomy(Part):
         self._translucent = False  # by the layer switch
         self._ghosts = True  # likewise
         self._turn = 0
+        self._heat = Heat(api)
+
+    @property
+    def margins(self) -> Scale | None:
+        """The scale of the margins that are drawn; None: none are."""
+        shown = self._visible and any(
+            drawn.visible and self._heat.covers(k) for k, drawn in enumerate(self._drawn)
+        )
+        return self._heat.scale if shown else None
 
     def set_scene(self, scene: Scene) -> None:
         for drawn in self._drawn:
@@ -73,6 +107,7 @@ class Anatomy(Part):
         same = self._scene is not None and _sources(self._scene) == _sources(scene)
         switches = [drawn.visible for drawn in self._drawn]
         self._scene = scene
+        self._heat.set_scene(scene)
         self._drawn = [
             _Drawn(surface, palette.structure_colour(own, k), own.opacity)
             for k, (own, surface) in looks
@@ -86,6 +121,11 @@ class Anatomy(Part):
                 f"/anatomy/structure{k}", drawn, built.vertices_shown, built.faces_shown,
                 built.fronts_only,
             )  # fmt: skip
+            self._heat.set_shape(k, built.vertices_shown, built.faces_shown, built.fronts_only)
+        looks_of = [scene.vertices_shown, *(one.vertices_shown for one in scene.structures)]
+        for drawn, course, vertices in zip(self._drawn, scene.courses, looks_of, strict=False):
+            if course is not None and course.form is not None:
+                drawn.follows = Follows(drawn.surface.vertices, vertices)
         if scene.options.tracker is not None:
             self._add_ghosts(scene)
 
@@ -96,10 +136,12 @@ class Anatomy(Part):
             return
         drawn = self._drawn[0]
         drawn.whole = part is None
+        if drawn.follows is not None:
+            drawn.follows.phase = -1.0
         vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
-        drawn.mesh = self._add(
-            "/anatomy/mesh", drawn, vertices, faces, scene.fronts_only and part is None
-        )
+        fronts_only = scene.fronts_only and part is None
+        drawn.mesh = self._add("/anatomy/mesh", drawn, vertices, faces, fronts_only)
+        self._heat.set_shape(0, vertices, faces, fronts_only)
 
     def show(self, visible: bool) -> None:
         """Layer switch."""
@@ -121,6 +163,11 @@ class Anatomy(Part):
         self._ghosts = on
         self._draw()
 
+    def show_margins(self, on: bool) -> None:
+        """Layer switch of the heat map of margins."""
+        self._heat.on = on
+        self._draw()
+
     def set_translucent(self, on: bool) -> None:
         """Layer switch of the translucency."""
         self._translucent = on
@@ -133,6 +180,7 @@ class Anatomy(Part):
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         self.set_looks(shown.options.anatomy)
+        self._heat.set_margins(shown.options.anatomy)
         self._move(shown)
         eyes = [np.asarray(client.camera.position) for client in clients.values()]
         self.keep_tip_visible(eyes, np.array(shown.tip.translation))
@@ -157,6 +205,21 @@ class Anatomy(Part):
             drawn.pose = pose
             place(drawn.mesh, pose)
             place(drawn.ghost, shown.believed(k))
+            self._heat.move(k, pose)
+            self._deform(k, drawn, shown)
+
+    def _deform(self, k: int, drawn: _Drawn, shown: Moment) -> None:
+        """Give a structure that deforms its shape, every `RESHAPED` seconds."""
+        follows, now, phase = drawn.follows, time.monotonic(), shown.telemetry.phase
+        if follows is None or shown.shape(k) is None or now < follows.due or phase == follows.phase:
+            return
+        follows.due, follows.phase = now + RESHAPED, phase
+        for node, vertices, size in (
+            (drawn.mesh if drawn.whole else None, shown.shape(k), 1.0),
+            (drawn.ghost, shown.shape(k, believed=True), GHOST_SIZE),
+        ):
+            if node is not None and vertices is not None:
+                node.vertices = to_buffer(follows.shape(vertices, size))
 
     def _add_ghosts(self, scene: Scene) -> None:
         shapes = [(scene.vertices_shown, scene.faces_shown)]
@@ -183,15 +246,17 @@ class Anatomy(Part):
         return None if opacity == 1.0 else opacity
 
     def _draw(self) -> None:
-        for drawn in self._drawn:
+        for k, drawn in enumerate(self._drawn):
             mesh = drawn.mesh
             if mesh is None:
                 continue
             opacity, visible = self._opacity(drawn), self._visible and drawn.visible
+            self._heat.draw(k, visible, opacity)
+            plain = visible and not self._heat.covers(k)
             if mesh.opacity != opacity:
                 mesh.opacity = opacity
-            if mesh.visible != visible:
-                mesh.visible = visible
+            if mesh.visible != plain:
+                mesh.visible = plain
             if tuple(mesh.color) != drawn.color:
                 mesh.color = drawn.color
             ghost = drawn.ghost

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import viser
 from numpy.typing import NDArray
@@ -18,8 +21,10 @@ MIN_CHANGE = 1e-7  # smaller changes of a pose are not sent [m], [quaternion uni
 class ArmDrawing(Part):
     """The arm's bodies; moving them takes up to two messages per link, not per body."""
 
-    def __init__(self, api: viser.SceneApi) -> None:
+    def __init__(self, api: viser.SceneApi, attach: Callable[[Any], None]) -> None:
+        """`attach`: called with every node of a body of the tool, which can be grabbed."""
         self._api = api
+        self._attach = attach
         self._arm: Arm | None = None
         self._root: viser.FrameHandle | None = None
         self._links: list[tuple[int, viser.FrameHandle]] = []  # row of placements, node
@@ -36,12 +41,13 @@ class ArmDrawing(Part):
         self._arm, self._links, self._shown = scene.arm, [], None
         self._root = self._api.add_frame("/arm", show_axes=False, visible=self._visible)
         links: dict[str, str] = {}
+        tool = {capsule.frames[1] for capsule in scene.arm.capsules}
         for row, body in enumerate(scene.arm.bodies):
             if body.frame not in links:
                 links[body.frame] = f"/arm/link{len(links)}"
                 node = self._api.add_frame(links[body.frame], show_axes=False)
                 self._links.append((row, node))
-            self._api.add_mesh_simple(
+            drawn = self._api.add_mesh_simple(
                 f"{links[body.frame]}/body{row}",
                 vertices=to_buffer(body.vertices),
                 faces=body.faces,
@@ -49,6 +55,8 @@ class ArmDrawing(Part):
                 cast_shadow=False,
                 receive_shadow=False,
             )
+            if body.frame in tool:
+                self._attach(drawn)
 
     def show(self, visible: bool) -> None:
         """Layer switch."""

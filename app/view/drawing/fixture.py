@@ -98,7 +98,7 @@ class FixtureDrawing(Part):
             around = shown.guarded
             self.draw(
                 p_tip, step.radius, step.planes, step.multipliers,
-                [one.surface for one in around], scene.arm.capsules,
+                [one.guards for one in around], scene.arm.capsules,
                 [str(one.own.name) for one in around] if scene.structures else (),
                 [one.believed for one in around],
             )  # fmt: skip

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 import vf
 from app.judges import boxes, oracles
 from app.scene import scene as scenes
+from app.scene.picking import distances
 from app.scene.scene import Scene
 from app.settings import Options
-from app.view.inspector.picking import distances
 
 FloatArray = NDArray[np.float64]
 

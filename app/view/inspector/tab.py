@@ -15,6 +15,7 @@ import vf
 from app.control.engine import guarded
 from app.control.messages import Telemetry
 from app.scene.moment import Moment
+from app.scene.picking import along, main_structure, margin_near, pick
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
@@ -22,7 +23,6 @@ from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Pose
 from app.view.inspector.drawing import NearDrawing
 from app.view.inspector.inspection import Inspection, Inspector, Request, Subject
-from app.view.inspector.picking import along, main_structure, pick
 from app.view.inspector.probe import Probe, case_pose, case_view
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, pose_from_view
@@ -180,10 +180,10 @@ class InspectorTab(Part):
             k = main_structure([one for _, one in around], step, p_tip, chosen)
             own, surface = around[k]
             return Subject(
-                surface, p_tip, step.radius, options,
-                options.rule, scene, step, None if target is None else Pose(telemetry.q, target),
-                tick=telemetry.tick, axes=scene.arm.axes(step.q), fixture=k,
-                structure=str(own.name) if scene.structures else "", margin=own.margin or 0.0,
+                surface, p_tip, step.radius, options, options.rule, scene, step,
+                None if target is None else Pose(telemetry.q, target), fixture=k,
+                structure=str(own.name) if scene.structures else "", tick=telemetry.tick,
+                axes=scene.arm.axes(step.q), margin=margin_near(own, surface, p_tip, scene.added),
             )  # fmt: skip
         if self._case is None:
             return Subject(self._surface, self._probe_at, step.radius, options, self._rule, scene)

@@ -38,6 +38,7 @@ def legend() -> str:
     )
     return (
         f"<div style='margin:0 .75em .5em;font-size:11.5px;line-height:1.3'>{rows}"
+        f"<div style='color:var(--vf-faint);margin-top:4px'>{palette.CLASSED}</div>"
         "<div style='color:var(--vf-faint);margin-top:4px'>Filled triangles gave the discs of the "
         "same colour; the stronger a disc’s colour, the larger its share of the push. Of planes "
         "farther off, when there are many, only the rim is drawn.</div></div>"

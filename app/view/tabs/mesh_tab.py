@@ -21,6 +21,7 @@ from app.scene.library import Kept
 from app.scene.measure import measure
 from app.scene.moment import Moment
 from app.scene.scene import Scene
+from app.structure import Structure
 from app.view import palette
 from app.view.clients.uploads import Receiver
 from app.view.context import PageContext
@@ -34,6 +35,7 @@ from meshes.units import choices as choices_of
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"
 _UNKNOWN = f"<div style='{_STYLE};color:var(--vf-faint)'>Not examined yet: press Examine.</div>"
 NONE = "–"
+USES = AS_MESH, AS_STRUCTURE = "the mesh", "a further structure"
 
 
 class MeshTab(Part):
@@ -58,7 +60,7 @@ class MeshTab(Part):
         server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
         with context.left.add_tab("Mesh"):
-            self._structures = StructureList(context)
+            self._structures = StructureList(context, self._remove_structure)
             self._upload = server.gui.add_upload_button(
                 "Bring your own mesh",
                 hint=f"{', '.join(meshes.FORMATS).upper()}; at most {limit / 1e6:,.0f} MB.",
@@ -174,7 +176,7 @@ class MeshTab(Part):
 
         def delete() -> None:
             try:
-                self._library.delete(file.name, self._session.options.mesh)
+                self._library.delete(file.name, self._present())
             except OSError as error:
                 self._notify(client, f"Not deleted: {error.strerror or error}.")
             except ValueError as error:
@@ -203,18 +205,25 @@ class MeshTab(Part):
                     if stated
                     else f"This {form} file does not say its unit: choose the size that it has."
                 )
-                + " Choose the side first if another than z is to face the tool.</div>"
+                + " Choose first what it is for, and the side if another than z is to face the "
+                "tool.</div>"
             )
             # Buttons first: they get the focus, with which a dropdown would open over the rest.
             choices = {
                 unit: client.gui.add_button(words)
                 for unit, words in choices_of(diagonal, stated).items()
             }
+            use = client.gui.add_dropdown(
+                "Use it as",
+                USES,
+                initial_value=AS_MESH,
+                hint="A further structure stays where its file has it, in the mesh's own axes.",
+            )
             up = client.gui.add_dropdown(
                 "Side facing the tool",
                 meshes.UPS,
                 initial_value=meshes.UPS[0],
-                hint="The mesh's own axis that is turned upwards.",
+                hint="Of the mesh: its own axis that is turned upwards.",
             )
             cancel = client.gui.add_button("Cancel", hint="Escape does the same.")
 
@@ -225,10 +234,15 @@ class MeshTab(Part):
         self._escape.opened(client.client_id, drop)
 
         def choose(unit: str, _event: viser.GuiEvent[Any]) -> None:
-            facing = str(up.value)
+            facing, further = str(up.value), use.value == AS_STRUCTURE
             self._escape.closed(client.client_id, drop)
-            if dialogs.close(dialog):
-                self._run(client, lambda: self._keep(path, unit=unit, up=facing), path.name)
+            if not dialogs.close(dialog):
+                return
+            if further:
+                self._run(client, lambda: self._keep(path, self._add_structure, unit), path.name)
+            else:
+                take = functools.partial(self._use_as_mesh, facing)
+                self._run(client, lambda: self._keep(path, take, unit), path.name)
 
         for unit, button in choices.items():
             button.on_click(functools.partial(choose, unit))
@@ -265,18 +279,42 @@ class MeshTab(Part):
             found: tuple[float, str | None] = worker.run(work, allowed, self._progress, stop)
             return found
 
-    def _keep(self, path: Path, **wanted: Any) -> None:
-        """Add an uploaded file to the library and use it; remove it if that fails."""
+    def _keep(self, path: Path, take: Callable[[str, str], None], unit: str) -> None:
+        """Add an uploaded file to the library and take it; remove it if that fails."""
         before = {file.name for file in self._library.kept()}
         kept = self._library.add(path)
         try:
-            self._change(mesh=str(kept), **wanted)
+            take(str(kept), unit)
         except Refused:
             raise  # the file itself may be valid
         except Exception:
             if kept.name not in before:
-                self._library.delete(kept.name, self._session.options.mesh)
+                self._library.delete(kept.name, self._present())
             raise
+
+    def _use_as_mesh(self, up: str, file: str, unit: str) -> None:
+        self._change(mesh=file, unit=unit, up=up)
+
+    def _add_structure(self, file: str, unit: str) -> None:
+        there = self._session.options.structures
+        self._set_structures((*there, Structure(file, unit=unit)))
+
+    def _remove_structure(self, client: viser.ClientHandle | None, number: int) -> None:
+        """Take a structure out of the scene; 0 is the mesh, which stays."""
+        there = self._session.options.structures
+        if 0 < number <= len(there):
+            fewer = (*there[: number - 1], *there[number:])
+            self._run(client, lambda: self._set_structures(fewer))
+
+    def _set_structures(self, structures: tuple[Structure, ...]) -> None:
+        """Build the scene with these beside its mesh, which is not examined anew."""
+        with self._session.work.begin() as stop:
+            self._update_buttons()
+            self._session.change(structures=structures, progress=self._progress, stop=stop)
+
+    def _present(self) -> set[str]:
+        """The files that the scene is made of."""
+        return {own.file for own in self._session.options.anatomy}
 
     def _change(self, **wanted: Any) -> None:
         with self._session.work.begin() as stop:

@@ -81,7 +81,7 @@ def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
             row("motion sphere", f"{step.radius * 1e3:.2f}", "mm"),
             row(_reach_name(extras), f"{extras.in_sphere:,}", " "),
             row("active planes", f"{len(step.planes):,}", " "),
-            *_by_condition(step),
+            *_by_condition(step, options.rule),
             *_by_part(step, options, extras),
             *_by_structure(step, extras),
             row("QP", palette.SOLVER_HELP[step.solver]),
@@ -234,8 +234,8 @@ def _state(
         return "Clutched: the handle moves alone, the tool holds.", orange
     if telemetry.target is None and not telemetry.autopilot:
         if inside:
-            return "The tool rests inside the anatomy: drag the gizmo, or Reset.", red
-        return "Ready: drag the gizmo.", calm
+            return "The tool rests inside the anatomy: drag it, or Reset.", red
+        return "Ready: drag the tool or the gizmo.", calm
     if step is None:
         return "Starting …", calm
     if step.status == vf.Status.HELD:
@@ -329,13 +329,16 @@ def _by_part(step: vf.Step, options: Options, extras: Extras) -> list[str]:
     return [row(f"of the {name}", f"{n:,}", " ") for name, n in counts.items()]
 
 
-def _by_condition(step: vf.Step) -> list[str]:
+def _by_condition(step: vf.Step, in_force: str) -> list[str]:
     rows = []
     for rule, look in palette.LOOKS.items():
         n = int((step.planes.rules == rule).sum())
+        of_paper = rule in palette.CONDITIONS
         # The three conditions are always listed, so that the rows below keep their place.
-        if n or rule in (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY):
-            dot = f"<span style='color:{palette.css(look.color)}'>■</span> {html.escape(look.name)}"
+        if n or of_paper:
+            # Other rules do not ask for them: their planes are only classed so.
+            name = f"like {look.name}" if of_paper and in_force != "paper" else look.name
+            dot = f"<span style='color:{palette.css(look.color)}'>■</span> {html.escape(name)}"
             rows.append(
                 f"<tr><td style='{NAME};padding-left:8px'>{dot}</td>"
                 f"<td style='{VALUE}'>{n}</td><td></td></tr>"

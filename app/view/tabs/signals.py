@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import vf
 from app.control.messages import Telemetry
 from app.scene.moment import Moment, Placed
 from app.scene.scene import Scene
@@ -51,7 +50,6 @@ class Plot:
     least: float
 
 
-CONDITIONS = (vf.Rule.FACE, vf.Rule.RIDGE, vf.Rule.VALLEY)
 PLOTS = (
     Plot("Tip to surface [mm], inside < 0", (Curve("distance", palette.BLUE),), 1.0),
     Plot("Proxy to tool [mm]", (Curve("error", palette.PROXY),), 1.0),
@@ -60,7 +58,7 @@ PLOTS = (
         "Planes",
         tuple(
             Curve(palette.LOOKS[rule].name.split(",")[0], palette.LOOKS[rule].color)
-            for rule in CONDITIONS
+            for rule in palette.CONDITIONS
         ),
         4.0,
     ),
@@ -92,7 +90,7 @@ def sample(telemetry: Telemetry, structures: Sequence[Placed]) -> FloatArray | N
             _depth(structures, p_tip) * 1e3,
             gap * 1e3,
             np.linalg.norm(step.force),
-            *(int((step.planes.rules == rule).sum()) for rule in CONDITIONS),
+            *(int((step.planes.rules == rule).sum()) for rule in palette.CONDITIONS),
             *(1e3 * length for length in _moved(structures, p_tip)),
             stats.tick_median * 1e6,
             stats.tick_worst * 1e6,

@@ -13,7 +13,7 @@ from app.kinds import Length, bare
 from app.options import declared
 from app.scene.moment import Moment
 from app.scene.scene import Scene
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
 from app.view.context import PageContext
 from app.view.controls.fields import NumberField, bind, obey, show
@@ -40,7 +40,12 @@ class StructureList:
     sheet beside them, so that a row that is being clicked stays the same element.
     """
 
-    def __init__(self, context: PageContext) -> None:
+    def __init__(
+        self,
+        context: PageContext,
+        remove: Callable[[viser.ClientHandle | None, int], None],
+    ) -> None:
+        """`remove` takes the structure of a number out of the scene; it may block."""
         self._session, self._source = context.session, context.source
         self._anatomy, self._input = context.anatomy, context.client_input
         self._notify = context.notify
@@ -58,7 +63,8 @@ class StructureList:
             assert isinstance(limits, Length)
             margin = gui.add_number(
                 "Margin [mm]", 0.0, min=0.0, max=limits.high * 1e3, step=0.1,
-                hint="Distance the tool keeps from this structure beyond the standoff.",
+                hint="Distance the tool keeps from this structure beyond the standoff; what a "
+                "registration adds comes on top.",
             )  # fmt: skip
             self._guarded = gui.add_checkbox(
                 "Guarded", True, hint="Off, this structure does not stop the tool."
@@ -72,6 +78,12 @@ class StructureList:
             self._visible = gui.add_checkbox("Visible", True)
             self._opacity = gui.add_slider("Opacity", 0.05, 1.0, 0.05, 1.0)
             self._colour = gui.add_rgb("Colour", palette.BONE)
+            self._remove = gui.add_button(
+                "Remove structure",
+                hint="Take it out of the scene; the mesh stays.",
+                icon=viser.Icon.TRASH,
+                color="gray",
+            )
         self._margin = NumberField(
             margin,
             (0.0, limits.high * 1e3),
@@ -87,6 +99,11 @@ class StructureList:
         self._bind(self._colour, lambda value: self._set(colour=_hex(value)))
         self._bind(self._visible, lambda value: self._anatomy.show_structure(self._number, value))
         self._bind(self._choice, lambda value: self._choose(_number_of(value)))
+
+        # A plain function: viser runs it in its thread pool, so it may block.
+        @self._remove.on_click
+        def _removed(event: viser.GuiEvent[Any]) -> None:
+            remove(event.client, self._number)
 
         @self._orders.on_update
         async def _ordered(event: viser.GuiEvent[Any]) -> None:
@@ -106,7 +123,7 @@ class StructureList:
         live = self._source.live
         structures = shown.options.anatomy
         seen = [self._anatomy.shows(k) for k in range(len(structures))]
-        rows = _rows(structures, seen, self._number)
+        rows = _rows(structures, seen, self._number, shown.scene.added_range)
         if rows != self._list.content:
             self._list.content = rows
         names = tuple(f"{k}: {own.name}" for k, own in enumerate(structures))
@@ -125,6 +142,8 @@ class StructureList:
             control.disabled = not live and control not in (self._visible, self._choice)
         # The mesh is guarded as the session says.
         self._guard.disabled = not live or number == 0
+        self._remove.disabled = not live
+        self._remove.visible = number > 0
 
     def _own(self) -> Structure:
         """The settings of the chosen structure."""
@@ -171,8 +190,13 @@ class StructureList:
             )
 
 
-def _rows(structures: Sequence[Structure], seen: Sequence[bool], chosen: int) -> str:
-    """The list as HTML."""
+def _rows(
+    structures: Sequence[Structure],
+    seen: Sequence[bool],
+    chosen: int,
+    added: Sequence[tuple[float, float]] = (),
+) -> str:
+    """The list as HTML; `added` is the range that a registration adds to each margin [m]."""
     rows = []
     for k, own in enumerate(structures):
         name = html.escape(str(own.name))
@@ -185,7 +209,8 @@ def _rows(structures: Sequence[Structure], seen: Sequence[bool], chosen: int) ->
             f"<td>{_button(GUARD, k, shield, f'Guard {name}', own.guarded)}</td>"
             f"<td class='vf-name' title='{name}'><button data-vf-order='{CHOOSE} {k}'>"
             f"<span class='vf-swatch' style='background:{swatch}'></span>{name}</button></td>"
-            f"<td>{1e3 * (own.margin or 0.0):.3g}</td><td class='vf-distance'></td></tr>"
+            f"<td>{_margin(own, added[k] if k < len(added) else None)}</td>"
+            "<td class='vf-distance'></td></tr>"
         )
     head = (
         "<tr><th></th><th></th><th class='vf-name'>structure</th>"
@@ -193,9 +218,19 @@ def _rows(structures: Sequence[Structure], seen: Sequence[bool], chosen: int) ->
         "<th title='from the tool [mm]'>nearest</th></tr>"
     )
     widths = "".join(f"<col style='width:{width}'>" for width in ("22px", "20px", "auto"))
-    widths += "<col style='width:42px'><col style='width:56px'>"
+    widths += f"<col style='width:{62 if added else 42}px'><col style='width:56px'>"
     table = f"<table class='vf-structures'>{widths}{head}{''.join(rows)}</table>"
     return f"<div class='vf-orders'>{table}</div>"
+
+
+def _margin(own: Structure, added: tuple[float, float] | None) -> str:
+    """A structure's margin [mm], or its range."""
+    margin = own.margin or 0.0
+    if added is None:
+        return f"{1e3 * margin:.3g}"
+    low, high = (f"{1e3 * (margin + more):.2f}" for more in added)
+    title = f"its own {1e3 * margin:.3g} mm, and what the registration adds"
+    return f"<span title='{title}'>{low}{f'–{high}' if high != low else ''}</span>"
 
 
 def _button(order: str, number: int, sign: str, label: str, on: bool) -> str:

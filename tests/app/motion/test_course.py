@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from app.motion import waves
 from app.motion.course import Course
-from app.motion.declared import KINDS, PERIODS, Motion
+from app.motion.declared import PERIODS, Motion
 from app.words import OptionError
 
 CENTRE = np.array([0.01, -0.02, 0.3])
-WAVES = [kind for kind in KINDS if kind != "poses"]
+WAVES = list(waves.WAVES)
 
 
 @pytest.mark.parametrize("kind", WAVES)

@@ -27,7 +27,8 @@ from app.scenarios.file import (
 )
 from app.scenarios.presets import PRESETS, find
 from app.scene import scene as scenes
-from app.settings import Options, Structure, number
+from app.settings import Options, number
+from app.structure import Structure
 from app.words import OptionError
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "scenarios.md"

@@ -132,11 +132,11 @@ def test_deleting_takes_one_file_and_never_the_one_on_the_page(tmp_path: Path) -
     one, two = brought(there, "a.stl", b"1"), brought(there, "b.stl", b"2")
     there.note(Options(mesh=str(outside)))
     with pytest.raises(LibraryError, match=r"a\.stl is on the page"):
-        there.delete("a.stl", str(one))
+        there.delete("a.stl", {"cube", str(one)})
     for name in ("outside.stl", "../outside.stl", "..", "", "none.stl", str(outside)):
         with pytest.raises(LibraryError, match="is kept"):
-            there.delete(name, "cube")
-    there.delete("b.stl", str(one))
+            there.delete(name, {"cube"})
+    there.delete("b.stl", {str(one)})
     assert one.exists()
     assert outside.exists()
     assert not two.parent.exists()

@@ -14,7 +14,8 @@ import robots
 from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.structures import files_of, read
-from app.settings import MOST, Options, Structure
+from app.settings import MOST, Options
+from app.structure import Structure
 from tests.support import label_files, structured
 
 

@@ -11,9 +11,10 @@ import pytest
 
 from app.session import Session
 from app.settings import Options
+from app.view.camera import viewer_axes
 from app.view.clients.escape import EscapeKey
 from app.view.controls.help import Help
-from app.view.controls.keys import STEPS, Keys, viewer_axes
+from app.view.controls.keys import STEPS, Keys
 from app.view.controls.views import Views
 from tests.support.headless import wait_until
 from tests.support.stand_ins import ClientInput, Gui, Handle, client

@@ -14,11 +14,11 @@ import trimesh
 import meshes
 import vf
 from app.scene import scene as scenes
+from app.scene.picking import pick
 from app.settings import Options
 from app.view.inspector import descriptions, figures
 from app.view.inspector.compare import Comparison, Pose, allowed, sample
 from app.view.inspector.inspection import Inspector, Request, Subject
-from app.view.inspector.picking import pick
 from app.view.inspector.region import allowed_region
 from app.view.worker import Worker
 from tests.support.headless import wait_until

@@ -21,10 +21,10 @@ from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.view import Page, palette
+from app.view import Page, camera, palette
 from app.view.clients import client_names
 from app.view.clients.client_input import ClientInput
-from app.view.controls import help, keys
+from app.view.controls import help
 from app.view.part import Clients, Part
 from app.view.tabs import recorder
 from tests.support.headless import wait_until
@@ -47,7 +47,7 @@ def test_nudges_are_in_the_viewers_directions() -> None:
         ([0.0, -1.0, 0.7], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
         ([1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
     ):
-        axes = keys.viewer_axes(looking(eye, [0.0, 0.0, 0.0]))
+        axes = camera.viewer_axes(looking(eye, [0.0, 0.0, 0.0]))
         np.testing.assert_allclose(axes, np.column_stack([right, away, [0, 0, 1]]), atol=1e-12)
 
 
@@ -55,7 +55,7 @@ def test_the_viewers_axes_are_orthonormal_for_any_camera() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
         q = rng.normal(size=4)
-        axes = keys.viewer_axes(q / np.linalg.norm(q))
+        axes = camera.viewer_axes(q / np.linalg.norm(q))
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
         assert np.linalg.det(axes) == pytest.approx(1.0)
         assert (axes[:, 2] == [0.0, 0.0, 1.0]).all()

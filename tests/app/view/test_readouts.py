@@ -236,3 +236,14 @@ def test_triangles_within_reach_of_the_tips_ball_are_counted(session: Session) -
         found = Measuring().measure(Moment(session.scene, options, telemetry, False), 0, "")
         assert (found.in_sphere > 0) == counted
         assert name in text(readouts.readouts(telemetry, options, found))
+
+
+def test_conditions_are_named_as_the_paper_s_where_its_rule_is_chosen(session: Session) -> None:
+    wait_until(lambda: session.latest().step is not None)
+    shown = session.latest()
+    for rule, name in (("paper", "■</span> Condition 2"), ("certified", "■</span> like Condition")):
+        options = replace(session.options, rule=rule)
+        table = readouts.readouts(shown, options, extras(session))
+        assert name in table
+        assert ("like Condition" in table) == (rule != "paper")
+    assert "that rule does not ask for them" in legend.legend()

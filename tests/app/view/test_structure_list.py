@@ -15,14 +15,14 @@ import viser
 from app.judges import boxes
 from app.judges.nearest import gaps
 from app.recording.playback import Moment
+from app.scene.picking import main_structure
 from app.session import Session
-from app.settings import Structure
+from app.structure import Structure
 from app.view import palette
 from app.view.drawing import anatomy, fixture
 from app.view.drawing.labels import Labels
 from app.view.inspector import descriptions
 from app.view.inspector.inspection import Inspector, Request, Subject
-from app.view.inspector.picking import main_structure
 from app.view.source import Source
 from app.view.tabs import readouts, structure_list
 from app.view.tabs.measuring import Measuring

@@ -89,6 +89,21 @@ def test_bounds_on_the_distance_to_a_box_are_never_too_large() -> None:
     assert off < 5  # a step short of the nearest point, hardly ever
 
 
+@pytest.mark.parametrize("away", [0.0, 1e4])
+def test_a_tree_out_of_reach_of_an_axis_has_no_corner_within_it(away: float) -> None:
+    rng = np.random.default_rng(3)
+    rejected = 0
+    for _ in range(100):
+        corners = some_triangles(rng, 9, 0.01).reshape(-1, 3) + away
+        tree = build(corners, np.arange(27).reshape(-1, 3))
+        ends = some_axis(rng, 0.05) + away
+        along = ends[0] + np.linspace(0.0, 1.0, 101)[:, None] * (ends[1] - ends[0])
+        gap = float(np.linalg.norm(along[:, None] - corners, axis=2).min())
+        assert not axis.out_of_reach(tree.nodes, tuple(ends.ravel()), gap + 1e-9 * away)
+        rejected += axis.out_of_reach(tree.nodes, tuple(ends.ravel()), 0.3 * gap)
+    assert rejected > 30
+
+
 def clear_of(triangles: np.ndarray, ends: np.ndarray) -> float:
     return root(min(exact.axis_distance2(*ends, triangle) for triangle in triangles))
 

@@ -46,6 +46,29 @@ def test_the_path_leaves_its_chord_by_no_more_than_the_bound(name: str) -> None:
     assert tightest > 0.5 or (name == "point" and not arm.revolute.any())
 
 
+@pytest.mark.parametrize("name", ARMS)
+def test_no_end_of_a_body_goes_beyond_its_motion_sphere(name: str) -> None:
+    """At full speed of all joints, which is where the sphere ends, at 10 Hz to 1 kHz."""
+    arm = robots.load(name)
+    rng = np.random.default_rng(6)
+    farthest = 0.0
+    for _ in range(200):
+        reach = arm.velocity * 10.0 ** rng.uniform(-3, -1)
+        q = rng.uniform(arm.lower, arm.upper)
+        dq = reach * rng.choice([-1.0, 1.0], len(q))
+        way = arm.axes(q + dq) - arm.axes(q)
+        J = arm.axis_jacobians(q)
+        for k in range(len(way)):
+            for end in range(2):
+                bound = problem.widest(J[k, end], reach)
+                assert bound <= problem.farthest(J[k, end], reach) * (1.0 + 1e-12)
+                bound += 4.0 * problem.sagitta(J[k, end], reach, 1.0, arm.revolute)
+                gone = float(np.linalg.norm(way[k, end]))
+                assert gone <= bound + 1e-15
+                farthest = max(farthest, gone / max(bound, 1e-12))
+    assert farthest > 0.9
+
+
 def test_joints_of_an_arm_that_does_not_say_so_count_as_revolute() -> None:
     arm = robots.load("point")
 

@@ -44,3 +44,17 @@ def test_leaving_the_corridor_counts_once_it_was_entered() -> None:
     points[:, 0] = np.array([1.4, 1.2, 0.9, 1.0, 1.1, -1.3]) * 1e-3
     assert judge.outside(path, points, 1e-3) == 2
     assert judge.outside(path, points[:2], 1e-3) == 0
+
+
+def test_heights_over_a_sphere_are_those_of_its_radius() -> None:
+    vertices, faces = meshes.arrays("sphere")
+    radius = np.linalg.norm(vertices, axis=1).max()
+    flat = radius - np.linalg.norm(vertices[faces].mean(axis=1), axis=1).min()  # of its facets
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(300, 3))
+    points *= (radius * rng.uniform(0.5, 1.5, size=300) / np.linalg.norm(points, axis=1))[:, None]
+    found = judge.heights(vertices, faces, points)
+    wanted = np.linalg.norm(points, axis=1) - radius
+    assert ((found >= wanted - 1e-12) & (found <= wanted + flat + 1e-12)).all()
+    assert (np.sign(found) == np.sign(wanted))[np.abs(wanted) > flat].all()
+    assert {1.0, -1.0} <= set(np.sign(found))

@@ -150,6 +150,8 @@ WRONG = {
     "deviation": [[[2.0]], [[True]]],
     "penetration": [[[math.nan]], None],
     "removed": [-1.0, 2.0],
+    "injured": [-1, 0.5],
+    "deepest": [2.0, math.nan],
     "crossings": [-1, 0.5],
     "outside": [True],
     "ticks": [10**400],

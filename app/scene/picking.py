@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import meshes
 import vf
+from app.structure import Structure
 
 FloatArray = NDArray[np.float64]
 
@@ -70,6 +72,21 @@ def main_structure(
         if own.max() > 0.0:
             return int(fixtures[own.argmax()])
     return min(range(len(surfaces)), key=lambda k: surfaces[k].nearest(x)[0])
+
+
+def margin_near(
+    own: Structure, surface: vf.Surface, x: FloatArray, added: meshes.MarginMap | None
+) -> float:
+    """The margin of a structure where its surface is nearest to x (3,) [m].
+
+    Args:
+        added: as `Scene.added`.
+    """
+    margin = own.margin or 0.0
+    if added is None:
+        return margin
+    corners = surface.vertices[surface.faces[surface.nearest(x)[1]]]
+    return margin + float(added.at(corners).max())
 
 
 def distances(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """An arm of your own: one class in one file, checked at the border as any arm is.
 
-    vf-sandbox guard --mesh sphere --arm python:docs/examples/09_own_device.py:MyArm --enable
+    vf-sandbox guard --mesh sphere --arm python:docs/examples/10_own_device.py:MyArm --enable
 
 A device is a class with `receive`, `send`, `close`, `peer` and `refused`, see
 `app.devices.remote.messages.Transport`. The control thread calls them in every tick, so none may

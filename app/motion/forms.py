@@ -1,0 +1,221 @@
+"""What shape a structure has at any time: shapes one after the other, straight between two.
+
+A structure that deforms has a shape every `FRAME` seconds, or every ten ticks where these are
+longer. Between two shapes every vertex rests for two ticks and then goes straight and steadily to
+its next place. So a tick never is on both sides of a shape: one that begins before it and ends
+after it ends while the vertices rest. What a tick promises of a structure that deforms holds for
+such motion.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+from math import floor
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+import meshes
+from app.motion.declared import Motion
+from app.motion.vertices import Vertices, read
+from app.words import OptionError
+from meshes.builtin.deforming import deforming_names
+
+FloatArray = NDArray[np.float64]
+
+FRAME = 0.02  # from one shape to the next, at least [s]
+TICKS = 10  # of a frame, at least
+RESTS = 2  # ticks in which the vertices rest at a shape; the structures' speed is 2 at most
+FIT = 1e-6  # by how much a catalogue mesh may be off its rest shape, as a share of its size
+FIT_FILE = 1e-3  # the same of the first shape of a file
+KEPT = 8  # shapes
+
+
+class Source(Protocol):
+    """Vertices over time, in the frame of the file or of the catalogue."""
+
+    @property
+    def rest(self) -> FloatArray: ...
+    def at(self, time: float) -> FloatArray: ...
+    def fastest(self) -> float: ...
+    def content(self) -> bytes: ...
+
+
+class Modes:
+    """The modes of a mesh of `meshes.deforming`, from a time on.
+
+    Args:
+        name: of the mesh.
+        amplitude: share of the usual amplitude.
+        period: of a cycle [s]; None: as usual.
+        after: when the first cycle begins [s].
+    """
+
+    def __init__(self, name: str, amplitude: float, period: float | None, after: float) -> None:
+        self._name, self._amplitude, self._after = name, amplitude, after
+        self._period = period or meshes.deforming(name).period
+
+    @property
+    def rest(self) -> FloatArray:
+        return meshes.deforming(self._name).vertices
+
+    def at(self, time: float) -> FloatArray:
+        if time <= self._after:
+            return self.rest
+        one = meshes.deforming(self._name)
+        amplitudes = self._amplitude * one.amplitudes((time - self._after) / self._period)
+        return one.vertices + np.tensordot(amplitudes, one.modes, axes=1)
+
+    def fastest(self) -> float:
+        return self._amplitude * meshes.deforming(self._name).fastest(self._period)
+
+    def content(self) -> bytes:
+        return b""
+
+
+class Form:
+    """The shapes of one structure, arm base frame, where it rests.
+
+    Args:
+        source: of the vertices.
+        surface: (n, 3) vertices of the structure at rest [m].
+        dt: of a tick [s].
+
+    Raises:
+        OptionError: the structure is not at the first shape of its source.
+    """
+
+    def __init__(self, source: Source, vertices: FloatArray, dt: float, fit: float) -> None:
+        self._source = source
+        self._scale, self._R, self._t = _placement(source.rest, vertices, fit)
+        self.frame = max(FRAME, TICKS * dt)
+        self._pause = RESTS * dt
+        self._known = lru_cache(KEPT)(self._made)
+
+    def interval(self, time: float) -> tuple[int, float]:
+        """Between which shapes a structure is at a time ≥ 0 [s]: the number of the first, and the
+        share of the way to the next."""
+        number = max(floor(time / self.frame), 0)
+        gone = time - number * self.frame - self._pause
+        return number, min(max(gone / (self.frame - self._pause), 0.0), 1.0)
+
+    def during(self, start: float, end: float) -> tuple[int, tuple[float, float]]:
+        """The first of the two shapes of a tick between two times [s], and the shares of the way
+        to the second at its start and its end.
+
+        A tick that comes to the next shape ends while the vertices rest there. After a jump in time
+        it begins at the first shape.
+        """
+        (first, since), (last, until) = self.interval(start), self.interval(end)
+        if last == first:
+            return first, (since, until)
+        if last == first + 1 and until == 0.0:
+            return first, (since, 1.0)
+        return last, (0.0, until)
+
+    def shape(self, number: int) -> FloatArray:
+        """Vertices (n, 3) of a shape [m]; not to be changed."""
+        return self._known(number)
+
+    def vertices(self, time: float) -> FloatArray:
+        """Vertices (n, 3) at a time [s]."""
+        number, share = self.interval(time)
+        if share == 0.0:
+            return self.shape(number)
+        return (1.0 - share) * self.shape(number) + share * self.shape(number + 1)
+
+    def fastest(self) -> float:
+        """Bound on the speed of a vertex [m/s]."""
+        return self._scale * self._source.fastest() * self.frame / (self.frame - self._pause)
+
+    @property
+    def content(self) -> bytes:
+        """What comes from a file; empty: nothing does."""
+        return self._source.content()
+
+    def _made(self, number: int) -> FloatArray:
+        found = self._scale * self._source.at(number * self.frame) @ self._R.T + self._t
+        found.flags.writeable = False
+        return found
+
+    def __getstate__(self) -> dict[str, object]:
+        return {key: value for key, value in self.__dict__.items() if key != "_known"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._known = lru_cache(KEPT)(self._made)
+
+
+def form_of(
+    motions: Sequence[Motion], name: str, vertices: FloatArray, dt: float
+) -> tuple[Form | None, list[Motion]]:
+    """The shapes of a structure, None if none of its motions deforms it, and the other motions.
+
+    Raises:
+        OptionError: two motions that deform it, or a mesh that is not the one they deform.
+    """
+    own = [motion for motion in motions if motion.kind in ("deforming", "vertices")]
+    rest = [motion for motion in motions if motion not in own]
+    if not own:
+        return None, rest
+    if len(own) > 1:
+        raise OptionError(f"'{name}' is deformed by {len(own)} motions: one is allowed")
+    motion = own[0]
+    if motion.file is not None:
+        found: Vertices = read(Path(motion.file), motion.after)
+        if found.rest.shape != vertices.shape:
+            raise OptionError(
+                f"{motion.file} has {len(found.rest):,} vertices, '{name}' has {len(vertices):,}"
+            )
+        form = _formed(found, vertices, dt, FIT_FILE)
+        if form is None:
+            raise OptionError(f"{motion.file}: its first shape is not that of '{name}'")
+        return form, rest
+    for one in deforming_names():
+        source = Modes(one, motion.amplitude, motion.period, motion.after)
+        if source.rest.shape == vertices.shape:
+            form = _formed(source, vertices, dt, FIT)
+            if form is not None:
+                return form, rest
+    return None, rest
+
+
+def _formed(source: Source, vertices: FloatArray, dt: float, fit: float) -> Form | None:
+    try:
+        return Form(source, vertices, dt, fit)
+    except ValueError:
+        return None
+
+
+def checksum(form: Form) -> str:
+    """SHA-256 of what comes from a file."""
+    return hashlib.sha256(form.content).hexdigest()
+
+
+def _placement(
+    rest: FloatArray, vertices: FloatArray, fit: float
+) -> tuple[float, FloatArray, FloatArray]:
+    """Scale, rotation and translation that take rest (n, 3) to vertices (n, 3).
+
+    S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
+    IEEE TPAMI 13(4), 1991.
+
+    Raises:
+        ValueError: they leave more than `fit` of the size.
+    """
+    a, b = rest.mean(axis=0), vertices.mean(axis=0)
+    x, y = rest - a, vertices - b
+    u, s, vt = np.linalg.svd(y.T @ x)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    R = (u * sign) @ vt
+    scale = float((s * sign).sum() / (x * x).sum())
+    # A scale of one is exact.
+    scale = 1.0 if abs(scale - 1.0) < 1e-9 else scale
+    off = float(np.abs(scale * x @ R.T - y).max())
+    if not off <= fit * float(np.ptp(vertices, axis=0).max()):
+        raise ValueError(f"off by {off:g} m")
+    return scale, R, b - scale * R @ a

@@ -1,0 +1,110 @@
+"""Folder "Hand": contact as sound and vibration, and a gamepad or 3D mouse as the hand.
+
+The page's own script (`page.js`) does what a browser can do and viser cannot: it reads what to do
+from an HTML element, and writes what a gamepad says into the hidden text field behind it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.scene.moment import Moment
+from app.view.clients.gamepad import Gamepad
+from app.view.context import PageContext
+from app.view.part import Clients, Part
+
+FULL = 4.0  # force of the loudest sound [N]
+LOUDEST = 0.25
+# Pitch of the first structure without force [Hz], and the steps to those of the others: a
+# pentatonic scale, in which all tones go together.
+LOWEST = 220.0
+SCALE = (0, 3, 5, 7, 10)  # [semitones]
+BENT = 12.0  # by which the full force raises the pitch [semitones]
+MIN_FORCE = 0.02  # a weaker force is not heard [N]
+MIN_PUSH = 1e-6  # of a plane that holds [m]
+
+
+class Feel(Part):
+    """The switches, and the element that tells the browsers what to play."""
+
+    def __init__(self, context: PageContext) -> None:
+        gui = context.server.gui
+        self._source = context.source
+        self._input = context.client_input
+        self._gamepad = Gamepad(context.session, context.client_input)
+        self._contacts = 0
+        self._touching = False
+        self._said = ""
+        self._element: Any = gui.add_html("")
+        field: Any = gui.add_text("Gamepad", "")
+        with gui.add_folder("Hand", expand_by_default=False):
+            self._sound: Any = gui.add_checkbox(
+                "Sound",
+                False,
+                hint="A tone while the fixture holds the tool: louder and higher with the force, "
+                "another for each structure.",
+            )
+            self._pad: Any = gui.add_checkbox(
+                "Gamepad or 3D mouse",
+                False,
+                hint="Left stick: right, away. Right stick: up, turn; with a bumper both turn. "
+                "A trigger: fine. First button: clutch. It vibrates at a contact.",
+            )
+
+        @field.on_update
+        async def _said(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None and self._pad.value:
+                self._input.submit(self._gamepad.take, event.client, str(event.target.value))
+
+        @self._pad.on_update
+        async def _switched(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None and not event.target.value:
+                self._input.submit(self._gamepad.end, event.client)
+
+        self._say("0", "0")
+
+    def frame(self, shown: Moment, clients: Clients) -> None:
+        self._gamepad.forget(clients)
+        force = float(np.linalg.norm(shown.force))
+        of = holder(shown)
+        # In free space there is a force too, of the way by which the tool is behind the proxy.
+        touching = of is not None and force > MIN_FORCE
+        if touching and not self._touching:
+            self._contacts += 1
+        self._touching = touching
+        if not self._sound.value or of is None or not touching:
+            self._say("0", "0")
+            return
+        level = LOUDEST * min(force / FULL, 1.0)
+        self._say(f"{pitch(of, force):.0f}", f"{level:.3f}")
+
+    def _say(self, hertz: str, level: str) -> None:
+        on = self._sound.value, self._pad.value
+        said = (
+            f"<div class='vf-orders vf-hand' data-sound='{int(on[0])}' data-gamepad='{int(on[1])}' "
+            f"data-pitch='{hertz}' data-level='{level}' data-contacts='{self._contacts}'></div>"
+        )
+        if said != self._said:
+            self._said = said
+            self._element.content = said
+
+
+def holder(shown: Moment) -> int | None:
+    """Number of the fixture that pushes the tool most; None: none does."""
+    step = shown.telemetry.step
+    if step is None or not len(step.multipliers):
+        return None
+    most = int(step.multipliers.argmax())
+    if step.multipliers[most] <= MIN_PUSH:
+        return None
+    return 0 if step.planes.fixtures is None else int(step.planes.fixtures[most])
+
+
+def pitch(structure: int, force: float) -> float:
+    """The tone [Hz] of a structure that is pressed with a force [N]."""
+    octave, step = divmod(structure, len(SCALE))
+    semitones = 12 * (octave % 3) + SCALE[step] + BENT * min(force / FULL, 1.0)
+    return float(LOWEST * 2.0 ** (semitones / 12.0))

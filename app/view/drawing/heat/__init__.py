@@ -1,0 +1,1 @@
+"""Heat map of the margins that structures are guarded with."""

@@ -1,0 +1,375 @@
+"""Two shapes of one mesh in one PD-tree, and every shape on the way from the one to the other.
+
+Vertices move straight from where they are `before` to where they are `after`: at a blend τ a vertex
+is at (1 − τ)·before + τ·after. Nodes keep their axes and their children; centre and half sizes are
+fitted to each shape, from the leaves up, and go straight from those of the one to those of the
+other. A walk computes the boxes and triangles that it comes to, and no others. Vertices are kept in
+the order in which the leaves use them, so that those of a leaf lie side by side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vf.kernels import floats_at, njit, rows_at
+from vf.planes import LARGEST, ROUND, IntArray
+from vf.tree.axis import box_gap2, largest_coordinate
+from vf.tree.closest import distance_error
+from vf.tree.pdtree import EXACT, STACK, Tree, children_of, triangles_of
+
+# A node whose triangles move alike to within this is not opened to see how far they move [m].
+ALIKE = 5e-7
+# Nor is one of less than this share of the ball that is looked at.
+SMALL = 0.5
+
+
+# What a walk needs to know of a mesh that does not deform, see `place_corners`.
+RIGID = (0, 0, 0, 0, 0, 0, 0, 0, 0.0)
+
+
+class Skeleton(NamedTuple):
+    """What all shapes of a mesh have in common.
+
+    Attributes:
+        order: (n,) the caller's index of each vertex, those that faces use first.
+        used: how many vertices faces use.
+        faces: (m, 3) int32 rows of the vertices in that order, faces in tree order.
+        starts: (k + 1,) int32 for each node where its vertices begin in `fans`; none of an inner
+            node.
+        fans: rows of the vertices of all leaves, each vertex of a leaf once, int32.
+    """
+
+    order: IntArray
+    used: int
+    faces: NDArray[np.int32]
+    starts: NDArray[np.int32]
+    fans: NDArray[np.int32]
+
+
+def skeleton(tree: Tree, faces: IntArray, vertices: int) -> Skeleton:
+    """Of a mesh with that many vertices and faces (m, 3) in the caller's order."""
+    m = len(faces)
+    order = np.empty(vertices, dtype=np.int64)
+    rows = np.empty((m, 3), dtype=np.int32)
+    starts = np.empty(len(tree.nodes) + 1, dtype=np.int32)
+    fans = np.empty(3 * m, dtype=np.int32)
+    used, count = _skeleton(tree.nodes, tree.order, faces, order, rows, starts, fans)
+    fans = fans[:count].copy()
+    for array in (order, rows, starts, fans):
+        array.flags.writeable = False
+    return Skeleton(order, used, rows, starts, fans)
+
+
+@njit(cache=True, nogil=True)
+def _skeleton(nodes, triangles, faces, order, rows, starts, fans):  # type: ignore[no-untyped-def]
+    n = order.shape[0]
+    rank = np.full(n, -1, dtype=np.int32)
+    used = 0
+    for t in range(triangles.shape[0]):
+        for j in range(3):
+            v = faces[triangles[t], j]
+            if rank[v] < 0:
+                rank[v] = used
+                order[used] = v
+                used += 1
+            rows[t, j] = rank[v]
+    rest = used
+    for v in range(n):
+        if rank[v] < 0:
+            order[rest] = v
+            rest += 1
+    count = 0
+    seen = np.full(n, -1, dtype=np.int32)  # the leaf that had a vertex last
+    for node in range(nodes.shape[0]):
+        starts[node] = count
+        link = nodes[node, 15]
+        if link > 0.0:
+            continue
+        first, last = triangles_of(link)
+        for t in range(first, last):
+            for j in range(3):
+                v = rows[t, j]
+                if seen[v] != node:
+                    seen[v] = node
+                    fans[count] = v
+                    count += 1
+    starts[nodes.shape[0]] = count
+    return used, count
+
+
+@njit(cache=True, nogil=True)
+def take(vertices, order, used, kept):  # type: ignore[no-untyped-def]
+    """Copy vertices (n, 3) in that order to `kept`.
+
+    Returns:
+        The largest magnitude of a coordinate of those that are used [m], and the first vertex that
+        is not finite, or is used and beyond `LARGEST`; −1: none.
+    """
+    bad = -1
+    largest = 0.0
+    for i in range(order.shape[0]):
+        v = order[i]
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        kept[i, 0], kept[i, 1], kept[i, 2] = x, y, z
+        size = max(abs(x), abs(y), abs(z))
+        # Not a number compares as false.
+        fine = abs(x) <= LARGEST and abs(y) <= LARGEST and abs(z) <= LARGEST
+        if i >= used:
+            fine = np.isfinite(x) and np.isfinite(y) and np.isfinite(z)
+        elif size > largest:
+            largest = size
+        if not fine and (bad < 0 or v < bad):
+            bad = v
+    return largest, bad
+
+
+# Fused multiplications and additions, a sixth of the time: rounding is allowed for in any order.
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
+    """Fit the boxes of all nodes to a shape.
+
+    Args:
+        nodes: (k, 16) of a `pdtree.Tree`, of which axes and links are read.
+        vertices: (n, 3) in the order of the skeleton [m].
+        boxes: (k, 6) written: centre and half sizes of each node [m].
+    """
+    for node in range(nodes.shape[0] - 1, -1, -1):
+        link = nodes[node, 15]
+        a0, a1, a2 = nodes[node, 6], nodes[node, 7], nodes[node, 8]
+        b0, b1, b2 = nodes[node, 9], nodes[node, 10], nodes[node, 11]
+        c0, c1, c2 = nodes[node, 12], nodes[node, 13], nodes[node, 14]
+        lx = ly = lz = np.inf
+        hx = hy = hz = -np.inf
+        if link > 0.0:
+            first, last = children_of(link)
+            ox, oy, oz = boxes[first, 0], boxes[first, 1], boxes[first, 2]
+            for child in range(first, last):
+                x, y, z = boxes[child, 0] - ox, boxes[child, 1] - oy, boxes[child, 2] - oz
+                u, v, w = boxes[child, 3], boxes[child, 4], boxes[child, 5]
+                d0, d1, d2 = nodes[child, 6], nodes[child, 7], nodes[child, 8]
+                e0, e1, e2 = nodes[child, 9], nodes[child, 10], nodes[child, 11]
+                f0, f1, f2 = nodes[child, 12], nodes[child, 13], nodes[child, 14]
+                p = a0 * x + a1 * y + a2 * z
+                r = (
+                    u * abs(a0 * d0 + a1 * d1 + a2 * d2)
+                    + v * abs(a0 * e0 + a1 * e1 + a2 * e2)
+                    + w * abs(a0 * f0 + a1 * f1 + a2 * f2)
+                )
+                lx, hx = min(lx, p - r), max(hx, p + r)
+                p = b0 * x + b1 * y + b2 * z
+                r = (
+                    u * abs(b0 * d0 + b1 * d1 + b2 * d2)
+                    + v * abs(b0 * e0 + b1 * e1 + b2 * e2)
+                    + w * abs(b0 * f0 + b1 * f1 + b2 * f2)
+                )
+                ly, hy = min(ly, p - r), max(hy, p + r)
+                p = c0 * x + c1 * y + c2 * z
+                r = (
+                    u * abs(c0 * d0 + c1 * d1 + c2 * d2)
+                    + v * abs(c0 * e0 + c1 * e1 + c2 * e2)
+                    + w * abs(c0 * f0 + c1 * f1 + c2 * f2)
+                )
+                lz, hz = min(lz, p - r), max(hz, p + r)
+        else:
+            begin, end = starts[node], starts[node + 1]
+            i = fans[begin]
+            ox, oy, oz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+            for k in range(begin, end):
+                i = fans[k]
+                x, y, z = vertices[i, 0] - ox, vertices[i, 1] - oy, vertices[i, 2] - oz
+                p = a0 * x + a1 * y + a2 * z
+                lx, hx = min(lx, p), max(hx, p)
+                p = b0 * x + b1 * y + b2 * z
+                ly, hy = min(ly, p), max(hy, p)
+                p = c0 * x + c1 * y + c2 * z
+                lz, hz = min(lz, p), max(hz, p)
+        x, y, z = 0.5 * (lx + hx), 0.5 * (ly + hy), 0.5 * (lz + hz)
+        boxes[node, 0] = ox + (x * a0 + y * b0 + z * c0)
+        boxes[node, 1] = oy + (x * a1 + y * b1 + z * c1)
+        boxes[node, 2] = oz + (x * a2 + y * b2 + z * c2)
+        # Rounding of the centre and the axes must not leave a corner outside its box.
+        size = 1e-15 * (1.0 + abs(ox) + abs(oy) + abs(oz) + abs(x) + abs(y) + abs(z))
+        boxes[node, 3] = 0.5 * (hx - lx) * (1.0 + 1e-12) + size
+        boxes[node, 4] = 0.5 * (hy - ly) * (1.0 + 1e-12) + size
+        boxes[node, 5] = 0.5 * (hz - lz) * (1.0 + 1e-12) + size
+
+
+@njit(cache=True, nogil=True)
+def fill_shifts(nodes, starts, fans, before, after, shifts):  # type: ignore[no-untyped-def]
+    """Write how far what the nodes hold moves from one shape to another.
+
+    Args:
+        nodes: (k, 16), of which links are read.
+        before, after: (n, 3) vertices in the order of the skeleton [m].
+        shifts: (k, 6) written: the least and the greatest of after − before below a node, for each
+            coordinate [m].
+    """
+    for node in range(nodes.shape[0] - 1, -1, -1):
+        link = nodes[node, 15]
+        lx = ly = lz = np.inf
+        hx = hy = hz = -np.inf
+        if link > 0.0:
+            first, last = children_of(link)
+            for child in range(first, last):
+                lx, hx = min(lx, shifts[child, 0]), max(hx, shifts[child, 3])
+                ly, hy = min(ly, shifts[child, 1]), max(hy, shifts[child, 4])
+                lz, hz = min(lz, shifts[child, 2]), max(hz, shifts[child, 5])
+        else:
+            for k in range(starts[node], starts[node + 1]):
+                i = fans[k]
+                x = after[i, 0] - before[i, 0]
+                y = after[i, 1] - before[i, 1]
+                z = after[i, 2] - before[i, 2]
+                lx, hx = min(lx, x), max(hx, x)
+                ly, hy = min(ly, y), max(hy, y)
+                lz, hz = min(lz, z), max(hz, z)
+        shifts[node, 0], shifts[node, 1], shifts[node, 2] = lx, ly, lz
+        shifts[node, 3], shifts[node, 4], shifts[node, 5] = hx, hy, hz
+
+
+@njit(cache=True, nogil=True)
+def place_boxes(shape, first, last):  # type: ignore[no-untyped-def]
+    """Compute the boxes of some nodes at a blend.
+
+    Each bound of a box goes straight from the one shape to the other: what any part of the mesh
+    does along an axis is between what its vertices do.
+
+    Args:
+        shape: see `place_corners`.
+    """
+    before = numba.carray(floats_at(shape[5]), (last, 6))
+    after = numba.carray(floats_at(shape[6]), (last, 6))
+    nodes = numba.carray(floats_at(shape[7]), (last, 16))
+    late = shape[8]
+    early = 1.0 - late
+    for node in range(first, last):
+        for k in range(6):
+            nodes[node, k] = early * before[node, k] + late * after[node, k]
+
+
+@njit(cache=True, nogil=True)
+def fill_boxes(before, after, blend, nodes):  # type: ignore[no-untyped-def]
+    """`place_boxes` of all nodes, in arrays."""
+    early = 1.0 - blend
+    for node in range(nodes.shape[0]):
+        for k in range(6):
+            nodes[node, k] = early * before[node, k] + blend * after[node, k]
+
+
+@njit(cache=True, nogil=True)
+def place_corners(shape, first, last):  # type: ignore[no-untyped-def]
+    """Compute the corners, and their errors, of some triangles in tree order at a blend.
+
+    Args:
+        shape: addresses of the faces of the skeleton, of the vertices before and after, of the
+            corners and errors of a `pdtree.Tree` to be written, of the boxes before and after, and
+            of the nodes of that tree, where axes and links stand; then the blend.
+    """
+    rows = numba.carray(rows_at(shape[0]), (last, 3))
+    corners = numba.carray(floats_at(shape[3]), (last, 9))
+    errors = numba.carray(floats_at(shape[4]), (last,))
+    late = shape[8]
+    early = 1.0 - late
+    for t in range(first, last):
+        c = corners[t]
+        for j in range(3):
+            row = rows[t, j]
+            before = numba.carray(floats_at(shape[1]), (row + 1, 3))
+            after = numba.carray(floats_at(shape[2]), (row + 1, 3))
+            for k in range(3):
+                c[3 * j + k] = early * before[row, k] + late * after[row, k]
+        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+        errors[t] = error if error > EXACT else 0.0
+
+
+@njit(cache=True, nogil=True)
+def fill_corners(rows, before, after, blend, corners, errors):  # type: ignore[no-untyped-def]
+    """`place_corners` of all triangles, in arrays."""
+    early = 1.0 - blend
+    for t in range(rows.shape[0]):
+        c = corners[t]
+        for j in range(3):
+            for k in range(3):
+                c[3 * j + k] = early * before[rows[t, j], k] + blend * after[rows[t, j], k]
+        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+        errors[t] = error if error > EXACT else 0.0
+
+
+@njit(cache=True, nogil=True)
+def farthest_shift(shifts, node, share):  # type: ignore[no-untyped-def]
+    """How far anything below a node moves, at most, in a share of the way between shapes [m]."""
+    far = 0.0
+    for k in range(3):
+        far += max(abs(shifts[node, k]), abs(shifts[node, 3 + k])) ** 2
+    return abs(share) * np.sqrt(far)
+
+
+@njit(cache=True, nogil=True)
+def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-untyped-def]
+    """How the mesh near an axis, or a point, moves during a share of the way between two shapes.
+
+    Near is what comes within `radius` of it, as it stands at the start, on the way: all of the
+    mesh that is now within that radius and the first number that is returned.
+
+    Args:
+        nodes, shape: see `place_corners`, at the start.
+        ends: see `certified.walk`.
+        share: of the way from the one shape to the other, negative: back.
+
+    Returns:
+        How far any of it moves at most [m]; the middle of its displacements, three numbers, and by
+        how much they differ from it at most, three numbers, rounding included [m].
+    """
+    if share == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    reach = (radius + farthest_shift(shifts, 0, share)) * (1.0 + 1e-9)
+    rounding = ROUND * (largest_coordinate(ends) + reach)
+    reach += EXACT + rounding
+    lx = ly = lz = np.inf
+    hx = hy = hz = -np.inf
+    waiting = np.empty(STACK, dtype=np.int32)
+    waiting[0] = 0
+    depth = 1
+    place_boxes(shape, 0, 1)
+    while depth > 0:
+        depth -= 1
+        node = waiting[depth]
+        inside = shifts[node, 0] >= lx and shifts[node, 1] >= ly and shifts[node, 2] >= lz
+        inside = inside and shifts[node, 3] <= hx and shifts[node, 4] <= hy
+        if inside and shifts[node, 5] <= hz:
+            continue
+        if box_gap2(nodes, node, ends) > reach * reach:
+            continue
+        link = nodes[node, 15]
+        spread = 0.0
+        size = 0.0
+        for k in range(3):
+            spread = max(spread, shifts[node, 3 + k] - shifts[node, k])
+            size = max(size, nodes[node, 3 + k])
+        if link > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
+            first, last = children_of(link)
+            place_boxes(shape, first, last)
+            for child in range(first, last):
+                waiting[depth] = child
+                depth += 1
+            continue
+        lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
+        ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])
+        lz, hz = min(lz, shifts[node, 2]), max(hz, shifts[node, 5])
+    if not lx <= hx:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    x, y, z = max(abs(lx), abs(hx)), max(abs(ly), abs(hy)), max(abs(lz), abs(hz))
+    part = 0.5 * abs(share)
+    return (
+        abs(share) * np.sqrt(x * x + y * y + z * z) + rounding,
+        0.5 * share * (lx + hx),
+        0.5 * share * (ly + hy),
+        0.5 * share * (lz + hz),
+        part * (hx - lx) + rounding,
+        part * (hy - ly) + rounding,
+        part * (hz - lz) + rounding,
+    )
