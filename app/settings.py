@@ -233,12 +233,14 @@ class Options(Checked):
     arm: str = option(
         Device("arm"), "sim",
         "The arm that is moved: sim, or one that is elsewhere, as socket://127.0.0.1:48051 (the "
-        "dVRK's socket streamer, which sends to that port).", Scope.SERVER,
+        "dVRK's socket streamer, which sends to that port), ros:/PSM1, python:FILE:CLASS.",
+        Scope.SERVER,
     )  # fmt: skip
     master: str = option(
         Device("master"), "page",
         "Who moves the tool: page, sim (the autopilot), or socket://HOST:PORT, a console that "
-        "hears the guard as an arm there; with ?listen a hand that sends to that port.",
+        "hears the guard as an arm there; with ?listen a hand that sends to that port; or "
+        "ros:/NAMESPACE, igtl://HOST:PORT (3D Slicer), python:FILE:CLASS.",
         Scope.SERVER,
     )  # fmt: skip
     enable: bool = option(
