@@ -360,10 +360,12 @@ def _limit(orders: Orders, latest: Telemetry | None) -> float:
 
     The certified segment keeps the standoff, and at its start the tip has all the room there is.
     An arm that is aside of the start goes to the same end, ever less aside: so up to that room it
-    meets nothing. Half of it counts, since the room changes from tick to tick.
+    meets nothing. Half of it counts, since the room changes from tick to tick. Of an instrument
+    that is guarded whole the room of its other parts is not known here: the standoff counts.
     """
-    standoff = orders.plant.options.standoff
+    options = orders.plant.options
+    standoff = options.standoff
     step = None if latest is None else latest.step
-    if step is None:
+    if step is None or options.guards_tool:
         return standoff
     return max(standoff, 0.5 * min(step.distance, step.radius))

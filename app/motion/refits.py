@@ -61,7 +61,8 @@ class _Chain:
     def __init__(self, movement: Movement, structure: int, rest: vf.Surface) -> None:
         self._movement, self._structure, self._rest = movement, structure, rest
         self._worker = _Worker()
-        self._made: dict[int, Future[vf.DeformingSurface]] = {}
+        # Ready, or nearly, when the first tick asks for it.
+        self._made = {0: self._worker.submit(partial(self._make, 0, None))}
 
     def surface(self, pair: int) -> vf.DeformingSurface:
         """That of a pair of shapes; the next one is made meanwhile."""
