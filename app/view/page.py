@@ -27,7 +27,6 @@ from app.view.clients.grab import Grab
 from app.view.clients.uploads import Uploads
 from app.view.context import PageContext
 from app.view.controls.corridor import CorridorControl
-from app.view.controls.devices import DeviceLamps
 from app.view.controls.feel import Feel
 from app.view.controls.keys import Keys
 from app.view.controls.margins import MarginLegend
@@ -36,6 +35,7 @@ from app.view.controls.panel import BANNER, CLIENTS, DEVICES, MARGINS, RESTART, 
 from app.view.controls.restart import Restart
 from app.view.controls.scenarios import ScenarioChoice
 from app.view.controls.views import Views
+from app.view.device_lamps import DeviceLamps
 from app.view.drawing import nodes
 from app.view.drawing.anatomy import Anatomy
 from app.view.drawing.arm import ArmDrawing

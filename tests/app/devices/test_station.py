@@ -48,6 +48,20 @@ def test_nothing_moves_the_arm_before_it_is_enabled(make: Make) -> None:
     assert "resume is not supported in state DISABLED" in said
 
 
+def test_a_set_point_goes_to_an_enabled_arm_only_whoever_asks(make: Make) -> None:
+    """Such as a tool that yields to a structure, which it does while it holds."""
+    bench = make()
+    bench.tick()
+    bench.station.arm.servo(bench.q + 1e-5)
+    assert bench.setpoints == []
+    bench.order("enable")
+    bench.station.arm.servo(bench.q + 1e-5)
+    assert len(bench.setpoints) == 1
+    bench.order("disable")
+    bench.station.arm.servo(bench.q + 1e-5)
+    assert len(bench.setpoints) == 1
+
+
 def test_an_arm_that_is_not_heard_of_is_not_enabled(make: Make) -> None:
     bench = make()
     bench.tells = False

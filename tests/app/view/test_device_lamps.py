@@ -12,8 +12,8 @@ from app.devices.report import LinkReport, Report
 from app.session import Session
 from app.settings import Options
 from app.view import Page
-from app.view.controls import devices
-from app.view.controls.devices import BUTTONS, DeviceLamps
+from app.view import device_lamps as devices
+from app.view.device_lamps import BUTTONS, DeviceLamps
 from tests.support.counterparts import counterpart, free_port
 from tests.support.headless import wait_until
 from tests.support.stand_ins import ClientInput, Gui
