@@ -26,13 +26,13 @@ from app.devices.station import Station
 from app.kinds import Number, bare
 from app.options import Scope, declared
 from app.recording.capture import Tape
-from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene import worker
 from app.scene.scene import Progress, Scene
 from app.scene.work import Work
 from app.settings import DECLARED, MESH, Options, kind_of
 from app.structure import Structure
+from app.words import Refused
 
 DEFAULTS = Options()
 OF_MESH = (*MESH, "margin", "guarded", "colour", "opacity")  # go with the mesh

@@ -1,4 +1,4 @@
-"""Parsing and formatting of lengths, speeds, positions and rotations in user input."""
+"""User input: why it is refused, and lengths, speeds, positions and rotations in it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ _LENGTH = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zµμ]*
 
 class OptionError(ValueError):
     """An invalid setting. The message names the value and the valid choices."""
+
+
+class Refused(ValueError):
+    """An order is refused; the message says why, and the state is unchanged."""
 
 
 def parse_length(text: str) -> float:

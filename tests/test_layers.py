@@ -92,7 +92,7 @@ def test_tests_share_what_is_in_support_and_nothing_else() -> None:
 # What is in app/, from the ground up: each imports its own level and those below.
 LEVELS = (
     {"choices", "console", "files", "interrupts", "judges", "kinds", "motion", "options",
-     "refused", "settings", "structure", "words"},
+     "settings", "structure", "words"},
     {"control", "devices", "recording", "scenarios", "scene", "session"},
     {"studies", "view"},
     {"bench", "serving"},

@@ -25,10 +25,10 @@ from app.console import Column, show_table
 from app.control.priority import raise_process_priority
 from app.recording.playback import Player, build_scenes
 from app.recording.read import read
-from app.refused import Refused
 from app.session import Session
 from app.settings import Options
 from app.view.page import Page
+from app.words import Refused
 from meshes.builtin import ladder
 
 OTHER = "skull-fine"  # second mesh of the loading phase: 936,456 triangles

@@ -19,7 +19,7 @@ from app.control.mailbox import Mailbox
 from app.control.messages import State, Telemetry
 from app.devices.report import Report
 from app.recording.capture import Tape
-from app.refused import Refused
+from app.words import Refused
 
 
 class Host(ABC):

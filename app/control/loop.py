@@ -22,7 +22,7 @@ from app.control.messages import State, Telemetry
 from app.control.priority import CONTROL_PRIORITY, raise_thread_priority
 from app.devices import protocols
 from app.devices.report import Report
-from app.refused import Refused
+from app.words import Refused
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from app.control.engine import Orders
 from app.control.mailbox import Mailbox
-from app.refused import Refused
+from app.words import Refused
 
 
 class OrderWriter:

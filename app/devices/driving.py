@@ -18,10 +18,10 @@ from app.devices.page import PageMaster, checked_pose
 from app.devices.report import Report
 from app.devices.spec import Spec
 from app.kinds import Number
-from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+from app.words import Refused
 
 PACE = Number(0.0, 2.0)  # of the motion of structures
 

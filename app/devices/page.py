@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.control.messages import Command
 from app.control.teleoperation import latch
-from app.refused import Refused
+from app.words import Refused
 
 FARTHEST_PROXY = 2.0  # reject targets farther from the arm's base than this [m]
 

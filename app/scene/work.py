@@ -6,8 +6,8 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from app.refused import Refused
 from app.scene.worker import Stop
+from app.words import Refused
 
 
 class Work:

@@ -37,7 +37,7 @@ from pathlib import Path
 from app import cli
 from app.recording.read import read
 from app.scenarios.file import Scenario, dumps, loads
-from app.refused import Refused
+from app.words import Refused
 from app.session import Session
 
 told = io.StringIO()

@@ -14,10 +14,9 @@ import pytest
 
 import meshes
 from app.devices.page import FARTHEST_PROXY
-from app.refused import Refused
 from app.session import Session
 from app.settings import Options
-from app.words import OptionError
+from app.words import OptionError, Refused
 from tests.support.brute import Oracle
 from tests.support.everyday import everyday
 from tests.support.headless import moved, wait_until

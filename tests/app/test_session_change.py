@@ -13,11 +13,10 @@ import trimesh
 
 import meshes
 import robots
-from app.refused import Refused
 from app.scene.worker import Stopped
 from app.session import Session
 from app.settings import Options
-from app.words import OptionError
+from app.words import OptionError, Refused
 from tests.support.brute import Oracle
 from tests.support.headless import moved, wait_until
 

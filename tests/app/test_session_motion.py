@@ -23,14 +23,13 @@ from app.recording.format import RecordingError
 from app.recording.playback import Player, build_scenes
 from app.recording.read import read
 from app.recording.write import Recorder
-from app.refused import Refused
 from app.scenarios.file import Scenario, ScenarioError, dumps, loads, write
 from app.scenarios.file import read as read_scenario
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.session import Session
 from app.settings import Options
-from app.words import OptionError
+from app.words import OptionError, Refused
 from tests.support import structured
 from tests.support.headless import wait_until
 

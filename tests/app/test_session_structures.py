@@ -16,7 +16,6 @@ from app.control.messages import Command, LoopStats
 from app.recording import playback, rerun
 from app.recording.format import RecordingError
 from app.recording.read import read
-from app.refused import Refused
 from app.scenarios.file import Scenario, dumps, loads, write
 from app.scenarios.file import read as read_scenario
 from app.scenarios.staging import present, stage
@@ -24,6 +23,7 @@ from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
 from app.structure import Structure
+from app.words import Refused
 from tests.support import structured
 from tests.support.headless import wait_until
 

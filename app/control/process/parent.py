@@ -29,7 +29,7 @@ from app.control.process.handle import PATIENCE, Child
 from app.control.process.shared import Queue, Slot
 from app.devices.spec import Spec
 from app.recording.capture import Tape
-from app.refused import Refused
+from app.words import Refused
 
 log = logging.getLogger(__name__)
 

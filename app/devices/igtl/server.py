@@ -19,8 +19,7 @@ from app.devices.igtl import wire
 from app.devices.page import checked_pose
 from app.devices.remote.border import near
 from app.kinds.links import Address, parse_address
-from app.refused import Refused
-from app.words import OptionError
+from app.words import OptionError, Refused
 
 if TYPE_CHECKING:
     from app.session import Session

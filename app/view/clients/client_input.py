@@ -14,11 +14,11 @@ import pinocchio as pin
 import viser
 
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
-from app.refused import Refused
 from app.session import Session
 from app.view.clients import client_names
 from app.view.drawing.proxy import Proxy
 from app.view.units import pose_from_view, same_pose
+from app.words import Refused
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,6 @@ import viser
 import meshes
 from app.files import size
 from app.recording.outline import outline
-from app.refused import Refused
 from app.scene import worker
 from app.scene.library import Kept
 from app.scene.measure import measure
@@ -30,6 +29,7 @@ from app.view.part import Clients, Part
 from app.view.tabs import health
 from app.view.tabs.recorder import recordings
 from app.view.tabs.structure_list import StructureList
+from app.words import Refused
 from meshes.units import choices as choices_of
 
 _STYLE = "margin:0 .75em .4em;font-size:12px;line-height:1.35;color:var(--vf-ink)"

@@ -16,7 +16,6 @@ from app import files
 from app.recording.format import SUFFIX
 from app.recording.outline import outline
 from app.recording.read import read, under_way
-from app.refused import Refused
 from app.scene.moment import Moment
 from app.view import palette
 from app.view.clients.pictures import Pictures
@@ -24,6 +23,7 @@ from app.view.context import PageContext
 from app.view.controls import dialogs
 from app.view.part import Clients, Part
 from app.view.tabs.replaying import Replaying
+from app.words import Refused
 
 MAX_RECORDINGS = 50  # in the folder, so that clients cannot fill the disk
 MAX_DOWNLOAD = 200e6  # size of a recording that is sent to a browser [byte]

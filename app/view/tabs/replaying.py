@@ -12,7 +12,6 @@ import viser
 
 from app.recording.format import Recording
 from app.recording.playback import Player, Transport, build_scenes
-from app.refused import Refused
 from app.scene.moment import Moment
 from app.scene.scene import Progress
 from app.scene.worker import Stop
@@ -20,6 +19,7 @@ from app.view import camera
 from app.view.context import PageContext
 from app.view.source import Source
 from app.view.units import VIEW_SCALE
+from app.words import Refused
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1": 1.0, "2": 2.0, "8": 8.0}
 FIRST_VERSION = 1_000_000  # of replayed scenes, above all versions of a session's scenes

@@ -20,10 +20,10 @@ from app.control.engine import Orders, Plant
 from app.control.loop import ControlLoop
 from app.control.mailbox import Mailbox
 from app.control.messages import Command
-from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+from app.words import Refused
 from tests.support.headless import Tape, wait_until
 
 OPTIONS = Options(mesh="cube", robot="point")

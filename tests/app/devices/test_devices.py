@@ -14,10 +14,10 @@ from app.control.messages import Command, LoopStats
 from app.devices import protocols
 from app.devices.page import FARTHEST_PROXY, PageMaster, checked_pose
 from app.devices.simulated import SimulatedArm
-from app.refused import Refused
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
+from app.words import Refused
 from tests.support.headless import moved
 
 OPTIONS = Options(mesh="cube", robot="point")

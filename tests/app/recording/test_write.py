@@ -11,9 +11,9 @@ import pytest
 
 from app.recording import capture, rerun
 from app.recording.read import read
-from app.refused import Refused
 from app.session import Session
 from app.settings import Options
+from app.words import Refused
 from tests.support.headless import wait_until
 
 CUBE = Options(mesh="cube", robot="point")

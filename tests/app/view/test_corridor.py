@@ -10,12 +10,11 @@ import pytest
 import meshes
 import vf
 from app.options import parse_as
-from app.refused import Refused
 from app.scene import scene as scenes
 from app.session import Session
 from app.settings import Options
 from app.view.controls.corridor import far_end
-from app.words import OptionError
+from app.words import OptionError, Refused
 
 SKULL = Options(mesh="skull-coarse", robot="point", corridor=1e-3)
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from app.refused import Refused
 from app.view.controls import fields
+from app.words import Refused
 from tests.support.stand_ins import ClientInput, Handle, client
 
 

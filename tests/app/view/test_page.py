@@ -15,7 +15,6 @@ import pinocchio as pin
 import pytest
 
 import vf
-from app.refused import Refused
 from app.scene import worker
 from app.scene.moment import Moment
 from app.scene.scene import Scene
@@ -27,6 +26,7 @@ from app.view.clients.client_input import ClientInput
 from app.view.controls import help
 from app.view.part import Clients, Part
 from app.view.tabs import recorder
+from app.words import Refused
 from tests.support.headless import wait_until
 
 

@@ -20,9 +20,9 @@ from app.control.process import handle, shared
 from app.control.process.child import HOLD_ALONE
 from app.recording import rerun
 from app.recording.read import read
-from app.refused import Refused
 from app.session import Session
 from app.settings import Options
+from app.words import Refused
 from tests.support.controls import controls_of, gone
 from tests.support.headless import moved, wait_until
 
