@@ -68,9 +68,9 @@ def run_moving(
     )  # fmt: skip
     show_places(moved.complaints(found), console)
     console.print(
-        f"{count(found.crossings, 'crossing')}, {count(found.too_deep, 'tick')} deeper than said; "
-        f"{perf_counter() - began:.0f} s"
+        f"{count(found.crossings, 'crossing')}, {count(found.late, 'contact')} led out too late, "
+        f"{count(found.too_deep, 'tick')} deeper than said; {perf_counter() - began:.0f} s"
     )
     if stopped:
         return interrupted(program, "this is of what was done until then")
-    return BROKEN if found.crossings or found.too_deep else PASSED
+    return BROKEN if found.crossings or found.late or found.too_deep else PASSED

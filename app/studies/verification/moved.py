@@ -21,8 +21,8 @@ from meshes.builtin.shapes import Arrays
 
 PERIODS = (1e-3, 5e-3, 0.02)  # of the control loop, in turn [s]
 COLUMNS = (
-    "ticks", "starts", "crossed", "by which part", "overtaken", "met apart", "too deep", "held",
-    "shortened", "recovering", "inside", "planes", "tick µs",
+    "ticks", "starts", "crossed", "by which part", "led out too late", "overtaken", "met then",
+    "too deep", "held", "shortened", "recovering", "inside", "planes", "tick µs",
 )  # fmt: skip
 
 
@@ -76,6 +76,10 @@ class Findings:
     @property
     def crossings(self) -> int:
         return sum(one[-1].crossings for one in self.drives)
+
+    @property
+    def late(self) -> int:
+        return sum(one[-1].late for one in self.drives)
 
     @property
     def too_deep(self) -> int:
@@ -158,6 +162,7 @@ def _show(
                 f"{sum(d.episodes for d in drives):,}",
                 f"{sum(d.crossings for d in drives):,}",
                 ", ".join(f"{part} {times:,}" for part, times in crossed.most_common()),
+                f"{sum(d.late for d in drives):,}",
                 f"{statuses[vf.Status.OVERTAKEN]:,}",
                 f"{sum(d.met for d in drives):,}",
                 f"{sum(d.too_deep for d in drives):,}",

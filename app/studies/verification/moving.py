@@ -34,15 +34,16 @@ class Passed(Pushed):
     """Result of `drive`.
 
     Attributes:
-        met: ticks in which something was met and that are counted apart: overtaken ones, and with a
-            tracker those before or after which the tool did not have its margin from the mesh as
-            believed.
+        met: overtaken ticks in which something was met.
+        late: with a tracker, ticks in which the true mesh was met and before or after which the
+            tool did not have its margin from the mesh as believed: it was not led out in time.
         too_deep: those of them after which it was deeper than `Step.violation`.
         deepest: the largest violation of such a tick [m].
         first_deep: a description of the first that was too deep.
     """
 
     met: int = 0
+    late: int = 0
     too_deep: int = 0
     deepest: float = 0.0
     first_deep: str = ""
@@ -175,8 +176,9 @@ def _episode(
                 f"to {moved.tolist()}"
             )
             kept = movement is None or motion is None or _kept(judge, scene, motion, q, moved)
-            if step.status is not vf.Status.OVERTAKEN and kept:
-                result.crossings += 1
+            if step.status is not vf.Status.OVERTAKEN:
+                result.crossings += kept
+                result.late += not kept
                 result.parts.update(set(names))
                 result.first = result.first or where
             else:
