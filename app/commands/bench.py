@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from app.bench.tools.settings import Loop, Meshes, Peers, Runtime, Soak, Structures, View
+from app.bench.tools.settings import Loop, Meshes, Motion, Peers, Runtime, Soak, Structures, View
 from app.bench.tools.watcher import NoBrowser
 from app.commands import interrupted
 from app.console import console as new_console
@@ -69,5 +69,5 @@ def _run(
         return work(say, lambda share: shown.update(bar, completed=share))
 
 
-_ALL = (Runtime, Structures, Peers, Loop, View, Meshes, Soak)
+_ALL = (Runtime, Structures, Motion, Peers, Loop, View, Meshes, Soak)
 KINDS = {kind.__name__.lower(): (kind, measure) for kind in _ALL}

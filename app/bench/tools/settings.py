@@ -78,6 +78,22 @@ class Structures(Checked):
 
 
 @dataclass(frozen=True)
+class Motion(Checked):
+    """Ticks beside a mesh that moves and deforms, and how long a new shape takes."""
+
+    mesh: str | None = option(Maybe(File()), None, _SHAPE)
+    unit: str | None = like(Options, "unit", about=_SCALED)
+    size: int = option(_SIZE, SIZES[-1], "Triangles of the mesh.")
+    radius: float | None = option(Maybe(_RADIUS, "auto"), 5e-3, "Radius of the motion sphere.")
+    guard: str = option(OneOf("guard", choices.GUARDS), "tip", "What is kept out.")
+    ticks: int = option(
+        Whole(1, 10**7), 2400, "Ticks of each row and pass: 200 for each spot of the route."
+    )
+    passes: int = option(Whole(1, 1000), 3, "Repetitions of all rows.")
+    out: pathlib.Path = option(Path(), _OUT, "Folder for motion.json.")
+
+
+@dataclass(frozen=True)
 class Peers(Checked):
     """The same queries and problems with other libraries; answers are compared before times."""
 

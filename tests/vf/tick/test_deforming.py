@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from itertools import pairwise
-from time import thread_time
 
 import numpy as np
 import pinocchio as pin
@@ -435,25 +434,3 @@ def test_the_two_judges_agree() -> None:
         assert bool(found) == (least < 1e-5)
         met += bool(found)
     assert 20 < met < 380
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("side", "most"), [(316, 12e-3), (1000, 90e-3)])
-def test_a_new_shape_is_taken_over_in_milliseconds(side: int, most: float) -> None:
-    """Processor time of one of 100,000 and of a million vertices, once the mesh is prepared."""
-    x, y = np.meshgrid(np.linspace(0.0, 0.1, side), np.linspace(0.0, 0.1, side))
-    z = 0.01 * np.sin(60.0 * x) * np.cos(50.0 * y)
-    vertices = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
-    i = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
-    faces = np.concatenate(
-        [np.column_stack([i, i + 1, i + side]), np.column_stack([i + 1, i + side + 1, i + side])]
-    )
-    body = vf.Surface.from_arrays(vertices, faces).deforming(vertices)
-    spent = []
-    for k in range(12):
-        after = (1.0 + 1e-3 * k) * vertices
-        began = thread_time()
-        body = body.deforming(after)
-        spent.append(thread_time() - began)
-    print(f"\n{len(vertices):,} vertices: median {1e3 * np.median(spent):.1f} ms")
-    assert min(spent) < most

@@ -1,0 +1,179 @@
+"""`bench motion`: ticks beside anatomy that moves and deforms, and how long a new shape takes.
+
+The closed loop of `bench runtime`, with the certified rule. In each tick the mesh goes a step one
+way or back: 0.2 m/s and 2 rad/s as a rigid body, up to 0.1 m/s from shape to shape. All rows are
+timed in turn within a tick, so that they meet the same load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from time import perf_counter, thread_time
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from rich.console import Console
+
+import meshes
+import robots
+import vf
+from app.bench.tools import report
+from app.bench.tools import route as routes
+from app.bench.tools.machine import machine, no_collection, percentiles
+from app.bench.tools.settings import Motion
+from app.console import Column, show_table
+from meshes.builtin import ladder
+
+__all__ = ["run", "show"]
+
+FloatArray = NDArray[np.float64]
+Say = Callable[[str], None]
+
+SPEED, TURN, DEFORMED = 0.2, 2.0, 0.1  # [m/s], [rad/s], [m/s]
+DT = 1e-3  # of a tick [s]
+FRAME = 10  # ticks from one shape to the next
+SHAPES = 12  # taken over and timed
+STILL, RIGID, DEFORMING, BOTH = "still", "rigid", "deforming", "rigid and deforming"
+
+
+def run(options: Motion, say: Say, advance: Callable[[float], None]) -> dict[str, Any]:
+    """Measure all rows.
+
+    Args:
+        say: called with a short text before each stage.
+        advance: called with the finished share of the measurement, 0 … 1.
+
+    Returns:
+        The content of `motion.json`.
+
+    Raises:
+        ValueError: a shape that is not usable for a ladder.
+    """
+    about = machine()
+    shape = ladder.source(options.mesh, options.unit)
+    vertices, faces = ladder.rungs(shape, (options.size,), say)[options.size]
+    arm = robots.load("psm")
+    say("compiling kernels")
+    vf.Controller(arm, []).warm_up()
+    say("building the surface")
+    surface = vf.Surface.from_arrays(
+        vertices + meshes.placement(vertices, arm.tip(arm.neutral)), faces
+    )
+    frames = _shapes(surface.vertices)
+    say("taking over shapes")
+    taken, deforming = _take_over(surface, frames)
+    route = routes.plan(surface, arm)
+    controllers = {
+        name: vf.Controller(
+            arm, [vf.MeshFixture(one, radius=options.radius)], vf.Settings(guard=options.guard)
+        )
+        for name, one in ((STILL, surface), (RIGID, surface), (DEFORMING, deforming),
+                          (BOTH, deforming))
+    }  # fmt: skip
+    motions = _motions(arm.tip(arm.neutral).translation)
+    times: dict[str, list[float]] = {name: [] for name in controllers}
+    planes: dict[str, list[int]] = {name: [] for name in controllers}
+    spots = range(min(len(route.starts), max(options.ticks // routes.TICKS, 1)))
+    done = 0
+    for number in range(options.passes):
+        say(f"pass {number + 1} of {options.passes}")
+        for spot in spots:
+            q = dict.fromkeys(controllers, route.starts[spot])
+            with no_collection():
+                for tick, target in enumerate(route.targets(spot)):
+                    for name in [*controllers][:: 1 if tick % 4 < 2 else -1]:
+                        began = perf_counter()
+                        step = controllers[name].step(q[name], target, motions[name][tick % 2])
+                        times[name].append(perf_counter() - began)
+                        planes[name].append(len(step.planes))
+                        q[name] = step.q
+            done += 1
+            advance(done / (len(spots) * options.passes))
+    still = float(np.median(times[STILL]))
+    return {
+        "what": "vf-sandbox bench motion",
+        "source": shape.name,
+        "machine": about,
+        "options": asdict(options),
+        "vertices": len(vertices),
+        "taken over [ms]": dict(
+            zip(("p1", "median", "p99"), percentiles(1e3 * np.array(taken)), strict=True)
+        ),
+        "rows": [
+            {
+                "what": name,
+                "planes": float(np.mean(planes[name])),
+                "ratio": float(np.median(times[name])) / still,
+                "tick [us]": dict(
+                    zip(("p1", "median", "p99"), percentiles(1e6 * np.array(times[name])),
+                        strict=True)
+                ),
+            }
+            for name in controllers
+        ],
+    }  # fmt: skip
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    """Print the result of `run`."""
+    report.header(result, console)
+    show_table(
+        console,
+        [Column(name, left=name == "mesh")
+         for name in ("mesh", "planes", "p1", "median", "p99", "over the still one")],
+        [
+            (
+                row["what"], f"{row['planes']:.1f}",
+                *(f"{row['tick [us]'][k]:.0f}" for k in ("p1", "median", "p99")),
+                f"{row['ratio']:.2f}",
+            )
+            for row in result["rows"]
+        ],
+        title="One tick of the PSM, certified rule, in µs",
+    )  # fmt: skip
+    taken = result["taken over [ms]"]
+    console.print(
+        f"a new shape of {result['vertices']:,} vertices: {taken['median']:.1f} ms of processor "
+        f"time (p1 {taken['p1']:.1f}, p99 {taken['p99']:.1f})"
+    )
+
+
+def _shapes(vertices: FloatArray) -> list[FloatArray]:
+    """Two shapes (n, 3) that waves over the mesh make, half a frame to either side."""
+    x, y, z = vertices.T
+    waves = np.column_stack([np.sin(25.0 * y), np.cos(20.0 * x), np.sin(22.0 * x + 18.0 * z)])
+    fastest = float(np.sqrt((waves * waves).sum(axis=1).max()))
+    way = waves * (0.5 * FRAME * DEFORMED * DT / fastest)
+    return [vertices - way, vertices + way]
+
+
+def _take_over(
+    surface: vf.Surface, frames: list[FloatArray]
+) -> tuple[list[float], vf.DeformingSurface]:
+    """Processor times of new shapes [s], and the surface from the first shape to the second."""
+    body = surface.deforming(frames[0])  # prepares the mesh
+    taken = []
+    for k in range(1, 2 * (SHAPES // 2) + 2):
+        began = thread_time()
+        body = body.deforming(frames[k % 2])
+        taken.append(thread_time() - began)
+    return taken[1:], body
+
+
+def _motions(centre: FloatArray) -> dict[str, list[list[vf.Motion] | None]]:
+    """What moves how in even and in odd ticks: there and back."""
+    rest = pin.SE3.Identity()
+    about = pin.SE3(np.eye(3), centre)
+    half = 0.5 * DT * np.array([SPEED, 0.0, 0.0, 0.0, 0.0, TURN])
+    before, after = (about * pin.exp6(s * half) * about.inverse() for s in (-1.0, 1.0))
+    blend = (0.5 - 0.5 / FRAME, 0.5 + 0.5 / FRAME)
+    back = blend[::-1]
+    return {
+        STILL: [None, None],
+        RIGID: [[vf.Motion(before, after)], [vf.Motion(after, before)]],
+        DEFORMING: [[vf.Motion(rest, rest, blend=blend)], [vf.Motion(rest, rest, blend=back)]],
+        BOTH: [[vf.Motion(before, after, blend=blend)], [vf.Motion(after, before, blend=back)]],
+    }
