@@ -202,7 +202,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     stored = json.loads((tmp_path / "runtime.json").read_text())
     assert stored["rows"][0]["radius [m]"] == 2e-3
     assert call("bench", ["walk"]) == 2
-    assert "choose one of runtime, peers, loop" in capsys.readouterr().err
+    assert "choose one of runtime, structures, motion, peers, loop" in capsys.readouterr().err
     assert call("bench", ["runtime", *words, "--rules", "magic"]) == 2
     assert "unknown rule 'magic'" in capsys.readouterr().err
     assert call("bench", ["loop", "--phases", "dancing"]) == 2

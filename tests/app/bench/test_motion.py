@@ -43,7 +43,7 @@ def test_what_moves_is_as_fast_as_said() -> None:
 
 
 def test_the_command_prints_the_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["motion", "--size", "1024", "--ticks", "200", "--passes", "1", "--out", str(tmp_path)]
+    words = ["motion", "--size", "2048", "--ticks", "200", "--passes", "1", "--out", str(tmp_path)]
     assert call("bench", words) == 0
     assert "a new shape of" in capsys.readouterr().out
     assert (tmp_path / "motion.json").exists()

@@ -50,7 +50,7 @@ def test_no_two_things_stand_at_the_same_place() -> None:
     )  # fmt: skip
     assert at["BUMP"] < at["PLANE"]
     assert at["REPORT_TIP"] + 12 == at["HEAD"]
-    assert at["MARKS"] + 4 == at["SCALARS"]
+    assert at["APPROACH"] + 1 == at["SCALARS"]
 
 
 def test_addresses_lead_to_the_parts_and_go_on_doing_so_when_there_is_more_room() -> None:
