@@ -6,9 +6,9 @@ autopilot, every rule in turn: psm on "stairs" and point on "cube", panda on "l-
 another order than Pinocchio does (`vf/tick/chain.py`): they differ by a few units in the last
 place, and so does what follows from them. A corridor's planes, of which there are none here, are
 moved by `certified.BUMPY` of the standoff too. Below the standoff a tick gains at least a share of
-what recovery asks for (`vf/tick/attempts.py`): where a step of that version gained less, which is in
-two ticks of them all, it is another. Everything else of a tick does the same operations in the same
-order.
+what recovery asks for (`vf/tick/attempts.py`): where a step of that version gained less, which is
+in two ticks of them all, it is another. Everything else of a tick does the same operations in the
+same order.
 
 So each tick is repeated from the joints that were recorded before it: in a closed loop the paper's
 conditions, which drop a plane when rounding puts the tip a hair beside an edge of an unwelded mesh,
