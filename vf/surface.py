@@ -157,7 +157,7 @@ class Surface:
     def deforming(self, vertices_after: ArrayLike) -> DeformingSurface:
         """This surface on its way to another shape with the same faces.
 
-        Prepares the mesh at the first call (some 40 ms a million triangles); after that a call
+        Prepares the mesh at the first call (seconds for millions of triangles); after that a call
         takes the new vertices over, and fits the boxes of the PD-tree to both shapes, with the
         interpreter lock released: it may run beside a control loop.
 
