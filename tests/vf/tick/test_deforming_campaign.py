@@ -164,13 +164,13 @@ def test_no_part_of_the_instrument_is_met_unless_it_was_overtaken() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(0, 12, 2))
 def test_nothing_is_met_in_long_campaigns(seed: int) -> None:
     of_tip(seed, 1500, [1e-3, 1e-2][seed // 6])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(0, 8, 2))
 def test_no_part_is_met_in_long_campaigns(seed: int) -> None:
     of_tool(seed, 800, [1e-3, 5e-3][seed // 4])
 
