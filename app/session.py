@@ -103,7 +103,7 @@ class Session(Driving):
             scale=options.scale,
             lock_orientation=options.lock_orientation,
         )
-        self._watch = Watch()
+        self._watch = Watch(int(2.0 * options.rate))
         self.spec = spec = Spec.of(options)
         self._led = spec is not None and spec.leads
         self._server: Server | None = None
@@ -157,6 +157,11 @@ class Session(Driving):
         telemetry = self._loop.telemetry.get()
         assert telemetry is not None
         return telemetry
+
+    @property
+    def past(self) -> list[Telemetry]:
+        """The ticks of the last two seconds, of the present scene, oldest first."""
+        return [one for one in list(self._watch.past) if one.scene == self.scene.version]
 
     @property
     def crossing(self) -> Crossing | None:

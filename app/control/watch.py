@@ -70,9 +70,12 @@ class Watch:
             the centre replaces an overlap of the ball.
         contacts: in how many ticks since then the tip came to meet what is guarded, or crossed it.
         missed: ticks that were not tested because the queue was full.
+        past: the newest ticks.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kept: int = 0) -> None:
+        """`kept` is how many of the newest ticks are kept."""
+        self.past: deque[Telemetry] = deque(maxlen=kept)
         self.crossing: Crossing | None = None
         self.contacts = 0
         self.missed = 0
@@ -98,6 +101,8 @@ class Watch:
         if not ticked and orders is self._newest:
             return  # paused: nothing happened
         self._newest = orders
+        if ticked:
+            self.past.append(telemetry)
         if len(self._queue) < BEHIND:
             self._queue.append((orders, telemetry, ticked))
         else:

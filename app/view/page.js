@@ -84,7 +84,16 @@
 
   // What is heard and felt is said by an element of the page's own HTML, several times a second.
   const hand = () => document.querySelector(".vf-hand")?.dataset;
-  let audio = null;
+  // What the hand does goes through the text field behind that element, as orders do.
+  const tell = (words) => {
+    const field = document.querySelector(".vf-hand")?.parentElement?.nextElementSibling;
+    const input = field?.querySelector("input");
+    if (!input) return;
+    const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+    set.call(input, `${words}|${Date.now()}`);
+    input.dispatchEvent(new Event("input", { bubbles: true }));
+  };
+  let audio = null, contacts = null;
   const play = (said) => {
     if (audio === null) {
       if (said?.sound !== "1") return;
@@ -96,15 +105,24 @@
     }
     const now = audio.context.currentTime;
     const level = said?.sound === "1" ? Number(said.level) : 0;
+    if (said?.sound === "1" && contacts !== null && said.contacts !== contacts) {
+      const pulse = audio.context.createOscillator(), fading = audio.context.createGain();
+      pulse.frequency.value = 880;
+      fading.gain.setValueAtTime(0.25, now);
+      fading.gain.exponentialRampToValueAtTime(0.001, now + 0.08);
+      pulse.connect(fading).connect(audio.context.destination);
+      pulse.start(now);
+      pulse.stop(now + 0.08);
+      navigator.vibrate?.(30);
+    }
     audio.volume.gain.setTargetAtTime(level, now, 0.02);
     if (level > 0) audio.tone.frequency.setTargetAtTime(Number(said.pitch), now, 0.02);
   };
   // Browsers let a page be heard only once it was clicked on.
   addEventListener("click", () => audio?.context.resume(), true);
 
-  // A gamepad's state goes through the text field behind that element, as orders do: while it is
-  // moved, and once when it comes to rest.
-  let rested = true, contacts = null;
+  // A gamepad's state is told while it is moved, and once when it comes to rest.
+  let rested = true;
   const feel = (said) => {
     const pad = said?.gamepad === "1" ? [...navigator.getGamepads()].find((one) => one?.connected) : null;
     if (said?.contacts !== contacts) {
@@ -117,18 +135,55 @@
     if (rests && rested) return;
     rested = rests;
     const axes = pad ? pad.axes.map((value) => Math.max(-1, Math.min(1, value)).toFixed(3)) : [];
-    const field = document.querySelector(".vf-hand").parentElement?.nextElementSibling;
-    const input = field?.querySelector("input");
-    if (!input) return;
-    const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
-    set.call(input, `${pad?.mapping ?? ""}|${axes}|${pressed}|${Date.now()}`);
-    input.dispatchEvent(new Event("input", { bubbles: true }));
+    tell(`pad:${pad?.mapping ?? ""}|${axes}|${pressed}`);
   };
   setInterval(() => {
     const said = hand();
     play(said);
     if (said) feel(said);
   }, 40);
+  // The wheel and a second finger move a tool that is held; viser's client would zoom. They are told as
+  // sums, because the client sends only the newest of several texts.
+  const fingers = new Map();  // places of the pointers on the picture, by number
+  let depth = 0, turn = 0;
+  const reach = (more, spin) => {
+    depth += more;
+    turn += spin;
+    tell(`reach:${depth.toFixed(3)}|${turn.toFixed(4)}`);
+  };
+  const holds = () => fingers.size > 0 && hand()?.held === "1";
+  const between = () => {
+    const [a, b] = [...fingers.values()];
+    return [Math.hypot(b[0] - a[0], b[1] - a[1]), Math.atan2(b[1] - a[1], b[0] - a[0])];
+  };
+  const second = (event) => event.pointerType === "touch" && !event.isPrimary;
+  addEventListener("pointerdown", (event) => {
+    if (!(event.target instanceof HTMLCanvasElement) || event.button !== 0 || fingers.size > 1) return;
+    if (holds() && second(event)) event.stopImmediatePropagation();
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+  }, true);
+  addEventListener("pointermove", (event) => {
+    if (!fingers.has(event.pointerId)) return;
+    const before = fingers.size === 2 ? between() : null;
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (before === null || !holds()) return;
+    if (second(event)) event.stopImmediatePropagation();
+    const after = between();
+    const spin = after[1] - before[1];
+    reach((before[0] - after[0]) / 20, Math.atan2(Math.sin(spin), Math.cos(spin)));
+  }, true);
+  const lifted = (event) => {
+    if (fingers.has(event.pointerId) && holds() && second(event)) event.stopImmediatePropagation();
+    fingers.delete(event.pointerId);
+  };
+  addEventListener("pointerup", lifted, true);
+  addEventListener("pointercancel", lifted, true);
+  addEventListener("wheel", (event) => {
+    if (!holds()) return;
+    event.stopImmediatePropagation();
+    event.preventDefault();
+    reach(-event.deltaY / (event.deltaMode === 0 ? 100 : 3), 0);
+  }, { capture: true, passive: false });
   // Such a button is replaced with its HTML when that changes, which takes the focus away: give it
   // to the button of the same order.
   let ordering = null;

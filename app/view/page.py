@@ -49,6 +49,7 @@ from app.view.drawing.section import Section
 from app.view.drawing.tool import Tool
 from app.view.inspector import InspectorTab
 from app.view.part import Part
+from app.view.slow_motion import SlowMotion
 from app.view.source import Source
 from app.view.tabs.mesh_tab import MeshTab
 from app.view.tabs.readout_panel import ReadoutPanel
@@ -148,6 +149,7 @@ class Page:
             self._anatomy,
             scenario,
         )
+        feel = Feel(context, grab)
         # They are called in this order.
         self._parts: tuple[Part, ...] = (
             self._anatomy,
@@ -172,7 +174,8 @@ class Page:
             MeshTab(context),
             CorridorControl(context),
             MotionControl(context),
-            Feel(context),
+            feel,
+            SlowMotion(context, feel.folder),
             RecordTab(context),
             self._labels,  # after all parts that change a label
         )

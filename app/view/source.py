@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+import numpy as np
+
 from app.control.messages import Telemetry
 from app.motion.movement import Movement
 from app.scene.moment import Moment, Places, places_at
@@ -28,6 +30,14 @@ class Source:
         self._movement: tuple[Scene, Movement] | None = None
         self._moving = threading.Lock()  # several threads ask
         self.shown = self.now()
+
+    def moment(self, telemetry: Telemetry) -> Moment:
+        """A past tick of the session's present scene."""
+        session, step = self._session, telemetry.step
+        scene = session.scene
+        force = np.zeros(3) if step is None else step.force
+        places = self._places(scene, telemetry)
+        return Moment(scene, session.options, telemetry, False, force, places=places)
 
     @property
     def live(self) -> bool:

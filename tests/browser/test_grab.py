@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from app.session import Session
@@ -68,19 +69,55 @@ def camera_axes(visitor: Visitor) -> np.ndarray:
     return Rotation.from_quat([x, y, z, w]).as_matrix()
 
 
-def test_moves_the_tool_in_the_plane_of_the_view(visitor: Visitor, session: Session) -> None:
+def test_follows_the_pointer_in_the_plane_towards_the_bone(
+    visitor: Visitor, session: Session
+) -> None:
     eye = np.array(visitor.client.camera.position)
     before, seen = tip(session), visitor.to_screen(to_view(tip(session)))
     where = lambda: visitor.to_screen(to_view(tip(session))) - seen  # noqa: E731
     with dragged(visitor, grip(visitor, session), (90.0, -40.0)):
-        # The browser takes some pixels to tell a drag from a click.
+        # The browser takes some pixels to tell a drag from a click. The tool is as large as the
+        # place where it is held, which is nearer.
         wait_until(lambda: np.abs(where() - [90.0, -40.0]).max() < 12.0, "the tool at the pointer")
-        depth = camera_axes(visitor)[:, 2] @ (tip(session) - before)
-        assert abs(depth) < 2e-4
-        visitor.tab.get_by_text("You hold the tool.").wait_for()
+        down = session.scene.surface.vertices - before
+        down = down[np.linalg.norm(down, axis=1).argmin()]
+        down = down / np.linalg.norm(down)
+        view = before - eye / 100.0
+        across = np.cross(view, down)  # lies in the plane, as `down` does
+        out_of_it = np.cross(across, down) / np.linalg.norm(across)
+        assert abs(out_of_it @ (tip(session) - before)) < 5e-4
+        visitor.tab.get_by_text("You hold the tool:").wait_for()
         visitor.picture("grab")
     np.testing.assert_allclose(visitor.client.camera.position, eye)
     wait_until(lambda: not visitor.page.dragging, "the release")
+
+
+def test_the_mouse_alone_touches_the_bone_slides_along_it_and_lifts_off(
+    visitor: Visitor, session: Session
+) -> None:
+    surface, mouse = session.scene.surface, visitor.tab.mouse
+    gap = lambda: surface.nearest(tip(session))[0]  # noqa: E731
+    at, eye = grip(visitor, session), np.array(visitor.client.camera.position)
+    with dragged(visitor, at, (0.0, 260.0)):
+        wait_until(lambda: gap() < 1e-4, "the touch", 20.0)
+        touched = tip(session)
+        for share in np.linspace(0.1, 1.0, 10):
+            mouse.move(at[0] + 100.0 * share, at[1] + 260.0)
+            visitor.tab.wait_for_timeout(40)
+        wait_until(lambda: np.linalg.norm(tip(session) - touched) > 3e-3, "the slide", 20.0)
+        assert gap() < 2e-4
+        # The wheel moves it away from the viewer, and the camera stays.
+        axes, slid = camera_axes(visitor), session.handle.translation.copy()
+        mouse.wheel(0.0, -400.0)
+        wait_until(
+            lambda: axes[:, 2] @ (session.handle.translation - slid) > 1.5e-3, "the depth", 20.0
+        )
+        np.testing.assert_allclose(visitor.client.camera.position, eye)
+        for share in np.linspace(0.1, 1.0, 10):
+            mouse.move(at[0] + 100.0, at[1] + 260.0 - 300.0 * share)
+            visitor.tab.wait_for_timeout(40)
+        wait_until(lambda: gap() > 5e-3, "the lift", 20.0)
+    assert session.crossing is None
 
 
 def test_moves_it_in_depth_and_turns_it(visitor: Visitor, session: Session) -> None:
@@ -166,6 +203,21 @@ def test_a_finger_moves_the_tool_on_a_phone(browser: Any, page: Page, session: S
             tab.wait_for_timeout(60)
         moved = lambda: camera_axes(phone)[:, 0] @ (tip(session) - before)  # noqa: E731
         wait_until(lambda: moved() > 1e-3, "the tool to follow the finger", 30.0)
+        # A second finger that comes nearer to the first moves it away, one that circles turns it.
+        held = at + np.array([60.0, -20.0])
+        start, axes = session.handle.copy(), camera_axes(phone)
+        finger("touchStart", held, held + np.array([0.0, 140.0]))
+        for k in range(1, 11):
+            finger("touchMove", held, held + np.array([0.0, 140.0 - 6.0 * k]))
+            tab.wait_for_timeout(60)
+        depth = lambda: axes[:, 2] @ (session.handle.translation - start.translation)  # noqa: E731
+        wait_until(lambda: depth() > 0.8e-3, "the tool to go away", 30.0)
+        for k in range(1, 11):
+            angle = 0.06 * k
+            finger("touchMove", held, held + 80.0 * np.array([-np.sin(angle), np.cos(angle)]))
+            tab.wait_for_timeout(60)
+        turn = lambda: pin.log3(session.handle.rotation @ start.rotation.T)  # noqa: E731
+        wait_until(lambda: turn() @ axes[:, 2] > 0.4, "the turn", 30.0)
         finger("touchEnd")
         wait_until(lambda: not page.dragging, "the release")
     finally:

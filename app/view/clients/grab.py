@@ -1,4 +1,4 @@
-"""Dragging the tool itself: in the plane of the view, in depth, along the surface, and turning."""
+"""Dragging the tool itself: onto the surface and along it, in depth, and turning."""
 
 from __future__ import annotations
 
@@ -26,12 +26,19 @@ TOOL = "tool"  # what is dragged
 PLANE, DEPTH, TURN, SURFACE = None, "shift", "cmd/ctrl", "cmd/ctrl+shift"
 TURN_RATE = np.pi  # by a drag across the whole view [rad]
 PRESSED = 5e-4  # of a proxy that slides on a surface, how far behind it [m]
+# The plane of a drag is not seen more nearly edge-on than this, or its points are too far apart on
+# the screen.
+EDGE_ON = np.sin(np.deg2rad(30.0))
+GRAZING = np.sin(np.deg2rad(10.0))  # a pointer's ray that meets the plane at less is not followed
+NOTCH = 5e-4  # in depth, by a notch of the wheel [m]
 # Another key pressed during a drag ends it and begins another, which goes on from there. One that
 # begins later begins at the tool.
 SAME_GESTURE = 0.5  # [s]
 HINT = (
-    "You hold the tool. It moves in the plane of the view; with Shift nearer and farther (drag up: "
-    "away), with Ctrl it turns, with Ctrl and Shift it slides along the surface below the pointer."
+    "You hold the tool: drag it onto the surface, along it and off again. The wheel, or Shift "
+    "while dragging, moves it nearer and farther; Ctrl turns it; with Ctrl and Shift it slides "
+    "along the surface below the pointer. On a touch screen two fingers move it in depth and turn "
+    "it."
 )
 
 
@@ -59,9 +66,16 @@ class Grab:
         self._told: set[int] = set()  # clients that have seen the hint
         # Of the drag that goes on; written by the worker.
         self._start: pin.SE3 | None = None
+        self._facing = np.zeros(3)  # unit normal of the drag's plane, away from the viewer
         self._pointer = np.zeros(3)
         self._screen = np.zeros(2)
         self._ended = -np.inf
+        self._reached: dict[int, tuple[float, float]] = {}  # what clients last said of their wheel
+
+    @property
+    def holds(self) -> bool:
+        """Whether a client holds the tool."""
+        return self._start is not None
 
     def attach(self, node: Any) -> None:
         """Let a body be dragged."""
@@ -113,6 +127,7 @@ class Grab:
             if time.monotonic() - self._ended > SAME_GESTURE:
                 session.recall()
             self._start, self._pointer, self._screen = session.handle, pointer, screen
+            self._facing = self._plane(session.handle.translation, pointer / VIEW_SCALE, eye)
         start = self._start
         if phase == "end":
             self._start, self._ended = None, time.monotonic()
@@ -121,10 +136,61 @@ class Grab:
             return turned(start, axes, screen - self._screen)
         if keys == SURFACE:
             return self._on_surface(session.handle, eye, pointer)
-        shift = (pointer - self._pointer) / VIEW_SCALE
         if keys == DEPTH:
-            shift = -(axes[:, 1] @ shift) * axes[:, 2]
+            up = -axes[:, 1] @ (pointer - self._pointer) / VIEW_SCALE
+            return pin.SE3(start.rotation, start.translation + up * axes[:, 2])
+        held, origin = self._pointer / VIEW_SCALE, eye / VIEW_SCALE
+        shift = on_plane(held, self._facing, origin, pointer / VIEW_SCALE - origin)
+        if shift is None:
+            return session.handle
         return pin.SE3(start.rotation, start.translation + shift)
+
+    def _plane(self, p_tip: FloatArray, pointer: FloatArray, eye: FloatArray) -> FloatArray:
+        """Unit normal of the plane in which a drag moves the tool, away from the viewer.
+
+        Dragged towards the anatomy on the screen, the tool is to come onto it and not in front of
+        it, so the plane contains the direction to the nearest surface.
+        """
+        view = pointer - eye / VIEW_SCALE
+        view = view / float(np.linalg.norm(view))
+        shown, nearest, down = self._source.now(), np.inf, np.zeros(3)
+        for k, surface in enumerate(shown.scene.surfaces):
+            pose = shown.pose(k) or pin.SE3.Identity()
+            seen = pose.actInv(p_tip)
+            distance, face, point = surface.nearest(seen)
+            if distance < nearest:
+                nearest = distance
+                # On the surface it is that of its triangle.
+                way = point - seen if distance > PRESSED else surface.normals[face]
+                down = pose.rotation @ way
+        return facing(view, down)
+
+    def reach(self, client: viser.ClientHandle, depth: float, turn: float) -> None:
+        """On the worker: what a client's wheel and fingers add up to since its page was loaded.
+
+        Args:
+            depth: notches of the wheel, away from the viewer.
+            turn: of two fingers, clockwise on the screen [rad].
+        """
+        if not np.isfinite([depth, turn]).all():
+            return
+        before = self._reached.get(client.client_id, (0.0, 0.0))
+        self._reached[client.client_id] = depth, turn
+        if not self.holds:
+            return
+        away = axes_of(np.array(client.camera.wxyz))[:, 2]
+        shift = np.clip(depth - before[0], -20.0, 20.0) * NOTCH * away
+        spin = pin.exp3(np.clip(turn - before[1], -1.0, 1.0) * away)
+        self._input.drag(
+            TOOL, client, client.client_id, "update", partial(self._shifted, shift, spin)
+        )
+
+    def _shifted(self, shift: FloatArray, spin: FloatArray) -> pin.SE3:
+        """The handle moved on, and the drag's start with it: the drag goes on from there."""
+        before, start = self._session.handle, self._start
+        assert start is not None
+        self._start = pin.SE3(spin @ start.rotation, start.translation + shift)
+        return pin.SE3(spin @ before.rotation, before.translation + shift)
 
     def _on_surface(self, present: pin.SE3, eye: FloatArray, pointer: FloatArray) -> pin.SE3:
         """The present pose at what is below the pointer; as it is where there is no anatomy."""
@@ -142,6 +208,29 @@ class Grab:
             return pin.SE3(present)
         behind = PRESSED / float(np.linalg.norm(way))
         return pin.SE3(present.rotation, origin + (nearest + behind) * way)
+
+
+def facing(view: FloatArray, down: FloatArray) -> FloatArray:
+    """Unit normal of a plane that contains a direction and is seen as little edge-on as that lets.
+
+    Args:
+        view: unit direction of the view; the normal where the plane would be seen edge-on.
+        down: the direction, of any length.
+    """
+    length = float(np.linalg.norm(down))
+    normal = view if length == 0.0 else view - (view @ down) * down / length**2
+    tilt = float(np.linalg.norm(normal))
+    return view if tilt < EDGE_ON else np.asarray(normal / tilt)
+
+
+def on_plane(
+    p: FloatArray, normal: FloatArray, origin: FloatArray, way: FloatArray
+) -> FloatArray | None:
+    """From p to where a ray meets the plane through p; None: it does not, or at a grazing angle."""
+    slope = float(normal @ way)
+    if slope < GRAZING * float(np.linalg.norm(way)):
+        return None
+    return np.asarray(origin + (normal @ (p - origin)) / slope * way - p)
 
 
 def turned(pose: pin.SE3, axes: FloatArray, moved: FloatArray) -> pin.SE3:

@@ -1,11 +1,13 @@
 """Folder "Hand": contact as sound and vibration, and a gamepad or 3D mouse as the hand.
 
 The page's own script (`page.js`) does what a browser can do and viser cannot: it reads what to do
-from an HTML element, and writes what a gamepad says into the hidden text field behind it.
+from an HTML element, and writes what a gamepad, the wheel and a second finger say into the hidden
+text field behind it.
 """
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ import viser
 
 from app.scene.moment import Moment
 from app.view.clients.gamepad import Gamepad
+from app.view.clients.grab import Grab
 from app.view.context import PageContext
 from app.view.part import Clients, Part
 
@@ -30,8 +33,10 @@ MIN_PUSH = 1e-6  # of a plane that holds [m]
 class Feel(Part):
     """The switches, and the element that tells the browsers what to play."""
 
-    def __init__(self, context: PageContext) -> None:
+    def __init__(self, context: PageContext, grab: Grab) -> None:
+        """`grab` is told of the wheel and the second finger."""
         gui = context.server.gui
+        self._grab = grab
         self._source = context.source
         self._input = context.client_input
         self._gamepad = Gamepad(context.session, context.client_input)
@@ -40,12 +45,13 @@ class Feel(Part):
         self._said = ""
         self._element: Any = gui.add_html("")
         field: Any = gui.add_text("Gamepad", "")
-        with gui.add_folder("Hand", expand_by_default=False):
+        with gui.add_folder("Hand", expand_by_default=False) as self.folder:
             self._sound: Any = gui.add_checkbox(
                 "Sound",
                 False,
                 hint="A tone while the fixture holds the tool: louder and higher with the force, "
-                "another for each structure.",
+                "another for each structure, with a short one at first contact (and a vibration, "
+                "on a phone).",
             )
             self._pad: Any = gui.add_checkbox(
                 "Gamepad or 3D mouse",
@@ -56,8 +62,13 @@ class Feel(Part):
 
         @field.on_update
         async def _said(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None and self._pad.value:
-                self._input.submit(self._gamepad.take, event.client, str(event.target.value))
+            kind, _, said = str(event.target.value).partition(":")
+            if event.client is None:
+                return
+            if kind == "reach":
+                self._input.submit(self._reach, event.client, said)
+            elif kind == "pad" and self._pad.value:
+                self._input.submit(self._gamepad.take, event.client, said)
 
         @self._pad.on_update
         async def _switched(event: viser.GuiEvent[Any]) -> None:
@@ -81,10 +92,16 @@ class Feel(Part):
         level = LOUDEST * min(force / FULL, 1.0)
         self._say(f"{pitch(of, force):.0f}", f"{level:.3f}")
 
+    def _reach(self, client: viser.ClientHandle, said: str) -> None:
+        with contextlib.suppress(ValueError):  # of a client that is not the page
+            depth, turn, _ = map(float, said.split("|"))
+            self._grab.reach(client, depth, turn)
+
     def _say(self, hertz: str, level: str) -> None:
         on = self._sound.value, self._pad.value
         said = (
             f"<div class='vf-orders vf-hand' data-sound='{int(on[0])}' data-gamepad='{int(on[1])}' "
+            f"data-held='{int(self._grab.holds)}' "
             f"data-pitch='{hertz}' data-level='{level}' data-contacts='{self._contacts}'></div>"
         )
         if said != self._said:

@@ -14,8 +14,8 @@ KEY: Final = "H"
 
 # One line each; HTML.
 LINES = (
-    "<b>Drag the tool</b>: in the plane of the view; with <kbd>Shift</kbd> up is away, with "
-    "<kbd>Ctrl</kbd> it turns, with both it slides along the surface below the pointer. "
+    "<b>Drag the tool</b> onto the surface and along it; wheel or <kbd>Shift</kbd>: nearer and "
+    "farther; <kbd>Ctrl</kbd> turns it, with both it slides along the surface below the pointer. "
     "<b>Or the gizmo</b>: arrows move the proxy, squares slide it, rings turn it.",
     "Pull it <b>into the bone</b>: the tool stops at the surface, held by the fixture’s planes.",
     "<b>Discs</b> are those planes, their colours the paper’s conditions (tab Legend); a strong "

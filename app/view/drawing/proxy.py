@@ -11,10 +11,15 @@ from app.view import palette
 from app.view.drawing import nodes
 from app.view.drawing.labels import Labels
 from app.view.part import Clients, Part
-from app.view.units import pose_to_view, to_buffer, to_view
+from app.view.units import pose_to_view, to_buffer, to_view, turn_z_to
 
 GIZMO_SIZE = 62.0  # length of its arrows [px]
 MIN_TETHER = 5e-5  # shorter ones are not drawn [m]
+# The tether is drawn as a spring: a helix along z from 0 to 1 with its ends on the axis.
+_TURN = np.linspace(0.0, 2.0 * np.pi * 8, 97)
+_COIL = np.column_stack([np.cos(_TURN), np.sin(_TURN), np.linspace(0.1, 0.9, len(_TURN))])
+_COIL = np.vstack([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], _COIL, [0.0, 0.0, 0.9], [0.0, 0.0, 1.0]])
+COIL = 8e-4, 0.15  # its radius at most [m], and of its length
 
 
 class Proxy(Part):
@@ -79,5 +84,15 @@ class Proxy(Part):
         taut = self.show_tether and not suppressed and bool(np.linalg.norm(offset) > MIN_TETHER)
         if taut:
             self._tether.position = to_view(p_tip)
-            self._tether.points = to_buffer(np.array([[[0.0, 0.0, 0.0], offset]]))
+            self._tether.points = to_buffer(spring(offset))
         self._tether.visible = taut
+
+
+def spring(offset: np.ndarray) -> np.ndarray:
+    """Pieces (m, 2, 3) of a spring from the origin to an offset (3,) [m]."""
+    length = float(np.linalg.norm(offset))
+    radius = min(COIL[0], COIL[1] * length)
+    wxyz = turn_z_to(offset[None] / length)[0]
+    turn = pin.Quaternion(*wxyz.tolist()).matrix()
+    points = (_COIL * [radius, radius, length]) @ turn.T
+    return np.stack([points[:-1], points[1:]], axis=1)

@@ -40,6 +40,50 @@ def test_turning_carries_the_near_side_with_the_pointer(right: float, down: floa
     np.testing.assert_allclose(way, np.pi * (axes[:, :2] @ moved), atol=1e-5)
 
 
+UNIT = (
+    st.tuples(SHARE, SHARE, SHARE)
+    .map(np.array)
+    .filter(lambda v: np.linalg.norm(v) > 0.1)
+    .map(lambda v: v / np.linalg.norm(v))
+)
+
+
+@given(UNIT, UNIT, st.floats(1e-4, 0.1))
+def test_the_plane_of_a_drag_holds_the_way_down_or_faces_the_viewer(
+    view: np.ndarray, down: np.ndarray, far: float
+) -> None:
+    normal = grab.facing(view, far * down)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    assert normal @ view >= 0.5 - 1e-12, "seen from its front, and not edge-on"
+    if np.linalg.norm(np.cross(view, down)) > 0.5 + 1e-9:
+        assert abs(normal @ down) < 1e-9
+        # No plane that contains the way down faces the viewer more.
+        for angle in np.linspace(0.0, np.pi, 37):
+            other = Rotation.from_rotvec(angle * down).apply(normal)
+            assert abs(other @ view) <= normal @ view + 1e-9
+    else:
+        np.testing.assert_array_equal(normal, view)
+    np.testing.assert_allclose(grab.facing(view, np.zeros(3)), view)
+
+
+@given(UNIT, UNIT, SHARE, SHARE)
+def test_a_pointer_takes_the_place_it_holds_with_it(
+    view: np.ndarray, down: np.ndarray, right: float, up: float
+) -> None:
+    held, eye = np.array([0.02, -0.01, 0.3]), np.array([0.02, -0.01, 0.3]) - 0.2 * view
+    normal = grab.facing(view, down)
+    way = 0.2 * view + 0.03 * np.cross(view, [right, up, 0.3])
+    shift = grab.on_plane(held, normal, eye, way)
+    assert shift is not None
+    assert abs(normal @ shift) < 1e-9, "it stays in the plane"
+    seen = held + shift - eye
+    np.testing.assert_allclose(np.cross(seen, way), 0.0, atol=1e-9)
+    assert seen @ way > 0.0
+    assert grab.on_plane(held, normal, eye, -way) is None, "behind the viewer"
+    along = np.cross(normal, [0.3, 0.5, 0.7])
+    assert grab.on_plane(held, normal, eye, along + 0.1 * np.linalg.norm(along) * normal) is None
+
+
 def pose(z: float) -> pin.SE3:
     return pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
 
@@ -109,15 +153,15 @@ def test_a_drag_goes_on_where_another_key_is_pressed(session: Session) -> None:
     session.reset()
     hand = Hand(session)
     start = session.handle.translation.copy()
-    hand.move("start", None, [1.0, 1.0, 0.0], [0.5, 0.5])
-    hand.move("update", None, [1.5, 1.0, 0.0], [0.6, 0.5])
+    hand.move("start", None, [0.0, 0.0, 0.0], [0.5, 0.5])
+    hand.move("update", None, [0.5, 0.0, 0.0], [0.6, 0.5])
     np.testing.assert_allclose(session.handle.translation - start, [5e-3, 0.0, 0.0], atol=1e-12)
-    hand.move("end", None, [1.5, 1.0, 0.0], [0.6, 0.5])
-    hand.move("start", grab.DEPTH, [1.5, 1.0, 0.0], [0.6, 0.5])
-    hand.move("update", grab.DEPTH, [1.5, 1.2, 0.0], [0.6, 0.4])
+    hand.move("end", None, [0.5, 0.0, 0.0], [0.6, 0.5])
+    hand.move("start", grab.DEPTH, [0.5, 0.0, 0.0], [0.6, 0.5])
+    hand.move("update", grab.DEPTH, [0.5, 0.2, 0.0], [0.6, 0.4])
     # Up on the screen is away from the camera, which is down.
     np.testing.assert_allclose(session.handle.translation - start, [5e-3, 0.0, -2e-3], atol=1e-12)
-    hand.move("end", grab.DEPTH, [1.5, 1.2, 0.0], [0.6, 0.4])
+    hand.move("end", grab.DEPTH, [0.5, 0.2, 0.0], [0.6, 0.4])
     assert hand.told.call_count == 1, "each client is told once"
 
 
@@ -125,7 +169,7 @@ def test_nothing_is_dragged_where_the_proxy_is_not_shown(session: Session) -> No
     hand = Hand(session)
     hand.shown = False
     before = session.handle.translation.copy()
-    hand.move("start", None, [1.0, 1.0, 0.0], [0.5, 0.5])
+    hand.move("start", None, [0.0, 0.0, 0.0], [0.5, 0.5])
     np.testing.assert_array_equal(session.handle.translation, before)
     assert "not shown" in hand.told.call_args.args[1]
 
@@ -146,3 +190,32 @@ def test_slides_on_what_the_pointer_is_over_and_stays_where_there_is_nothing(
     before = p.copy()
     hand.move("update", grab.SURFACE, [40.0, 40.0, 40.0], [0.5, 0.4])
     np.testing.assert_array_equal(session.handle.translation, before)
+
+
+def test_the_wheel_moves_what_is_held_and_the_drag_goes_on_from_there(session: Session) -> None:
+    session.reset()
+    hand = Hand(session)
+    looking_down = np.array([0.0, 1.0, 0.0, 0.0])
+    client = SimpleNamespace(client_id=0, camera=SimpleNamespace(wxyz=looking_down))
+    start = session.handle.translation.copy()
+    reach = hand.grab.reach
+    reach(client, 3.0, 0.0)  # type: ignore[arg-type]  # nobody holds it
+    np.testing.assert_array_equal(session.handle.translation, start)
+    assert not hand.grab.holds
+    hand.move("start", None, [0.0, 0.0, 0.0], [0.5, 0.5])
+    assert hand.grab.holds
+    reach(client, 5.0, 0.2)  # type: ignore[arg-type]  # two notches more, away from the camera
+    np.testing.assert_allclose(
+        session.handle.translation - start, [0, 0, -2 * grab.NOTCH], atol=1e-12
+    )
+    turn = pin.log3(session.handle.rotation @ session.scene.T_base_start.rotation.T)
+    np.testing.assert_allclose(turn, [0.0, 0.0, -0.2], atol=1e-9)
+    for wrong in (np.nan, np.inf):
+        reach(client, wrong, 0.0)  # type: ignore[arg-type]
+    reach(client, 5.0, 0.2)  # type: ignore[arg-type]
+    hand.move("update", None, [0.5, 0.0, 0.0], [0.6, 0.5])
+    np.testing.assert_allclose(
+        session.handle.translation - start, [5e-3, 0.0, -2 * grab.NOTCH], atol=1e-12
+    )
+    hand.move("end", None, [0.5, 0.0, 0.0], [0.6, 0.5])
+    assert not hand.grab.holds
