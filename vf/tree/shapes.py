@@ -128,14 +128,19 @@ def take(vertices, order, used, kept):  # type: ignore[no-untyped-def]
 
 
 # Fused multiplications and additions, a sixth of the time: rounding is allowed for in any order.
+# What moves by a difference of two numbers is not affected.
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
-    """Fit the boxes of all nodes to a shape.
+def refit(nodes, starts, fans, before, after, boxes, shifts):  # type: ignore[no-untyped-def]
+    """Fit the boxes of all nodes to a shape, and find how far what they hold moved to get there.
 
     Args:
         nodes: (k, 16) of a `pdtree.Tree`, of which axes and links are read.
-        vertices: (n, 3) in the order of the skeleton [m].
+        starts, fans: of the skeleton.
+        before, after: (n, 3) vertices of the shape before and of this one, in the order of the
+            skeleton [m].
         boxes: (k, 6) written: centre and half sizes of each node [m].
+        shifts: (k, 6) written: the least and the greatest of after − before below a node, for each
+            coordinate [m].
     """
     for node in range(nodes.shape[0] - 1, -1, -1):
         link = nodes[node, 15]
@@ -144,10 +149,16 @@ def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
         c0, c1, c2 = nodes[node, 12], nodes[node, 13], nodes[node, 14]
         lx = ly = lz = np.inf
         hx = hy = hz = -np.inf
+        # Of the displacements.
+        kx = ky = kz = np.inf
+        gx = gy = gz = -np.inf
         if link > 0.0:
             first, last = children_of(link)
             ox, oy, oz = boxes[first, 0], boxes[first, 1], boxes[first, 2]
             for child in range(first, last):
+                kx, gx = min(kx, shifts[child, 0]), max(gx, shifts[child, 3])
+                ky, gy = min(ky, shifts[child, 1]), max(gy, shifts[child, 4])
+                kz, gz = min(kz, shifts[child, 2]), max(gz, shifts[child, 5])
                 x, y, z = boxes[child, 0] - ox, boxes[child, 1] - oy, boxes[child, 2] - oz
                 u, v, w = boxes[child, 3], boxes[child, 4], boxes[child, 5]
                 d0, d1, d2 = nodes[child, 6], nodes[child, 7], nodes[child, 8]
@@ -177,16 +188,23 @@ def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
         else:
             begin, end = starts[node], starts[node + 1]
             i = fans[begin]
-            ox, oy, oz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+            ox, oy, oz = after[i, 0], after[i, 1], after[i, 2]
             for k in range(begin, end):
                 i = fans[k]
-                x, y, z = vertices[i, 0] - ox, vertices[i, 1] - oy, vertices[i, 2] - oz
+                u, v, w = after[i, 0], after[i, 1], after[i, 2]
+                x, y, z = u - before[i, 0], v - before[i, 1], w - before[i, 2]
+                kx, gx = min(kx, x), max(gx, x)
+                ky, gy = min(ky, y), max(gy, y)
+                kz, gz = min(kz, z), max(gz, z)
+                x, y, z = u - ox, v - oy, w - oz
                 p = a0 * x + a1 * y + a2 * z
                 lx, hx = min(lx, p), max(hx, p)
                 p = b0 * x + b1 * y + b2 * z
                 ly, hy = min(ly, p), max(hy, p)
                 p = c0 * x + c1 * y + c2 * z
                 lz, hz = min(lz, p), max(hz, p)
+        shifts[node, 0], shifts[node, 1], shifts[node, 2] = kx, ky, kz
+        shifts[node, 3], shifts[node, 4], shifts[node, 5] = gx, gy, gz
         x, y, z = 0.5 * (lx + hx), 0.5 * (ly + hy), 0.5 * (lz + hz)
         boxes[node, 0] = ox + (x * a0 + y * b0 + z * c0)
         boxes[node, 1] = oy + (x * a1 + y * b1 + z * c1)
@@ -196,39 +214,6 @@ def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
         boxes[node, 3] = 0.5 * (hx - lx) * (1.0 + 1e-12) + size
         boxes[node, 4] = 0.5 * (hy - ly) * (1.0 + 1e-12) + size
         boxes[node, 5] = 0.5 * (hz - lz) * (1.0 + 1e-12) + size
-
-
-@njit(cache=True, nogil=True)
-def fill_shifts(nodes, starts, fans, before, after, shifts):  # type: ignore[no-untyped-def]
-    """Write how far what the nodes hold moves from one shape to another.
-
-    Args:
-        nodes: (k, 16), of which links are read.
-        before, after: (n, 3) vertices in the order of the skeleton [m].
-        shifts: (k, 6) written: the least and the greatest of after − before below a node, for each
-            coordinate [m].
-    """
-    for node in range(nodes.shape[0] - 1, -1, -1):
-        link = nodes[node, 15]
-        lx = ly = lz = np.inf
-        hx = hy = hz = -np.inf
-        if link > 0.0:
-            first, last = children_of(link)
-            for child in range(first, last):
-                lx, hx = min(lx, shifts[child, 0]), max(hx, shifts[child, 3])
-                ly, hy = min(ly, shifts[child, 1]), max(hy, shifts[child, 4])
-                lz, hz = min(lz, shifts[child, 2]), max(hz, shifts[child, 5])
-        else:
-            for k in range(starts[node], starts[node + 1]):
-                i = fans[k]
-                x = after[i, 0] - before[i, 0]
-                y = after[i, 1] - before[i, 1]
-                z = after[i, 2] - before[i, 2]
-                lx, hx = min(lx, x), max(hx, x)
-                ly, hy = min(ly, y), max(hy, y)
-                lz, hz = min(lz, z), max(hz, z)
-        shifts[node, 0], shifts[node, 1], shifts[node, 2] = lx, ly, lz
-        shifts[node, 3], shifts[node, 4], shifts[node, 5] = hx, hy, hz
 
 
 @njit(cache=True, nogil=True)
