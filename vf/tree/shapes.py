@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vf.kernels import floats_at, njit, rows_at
 from vf.planes import LARGEST, ROUND, IntArray
 from vf.tree.axis import box_gap2, largest_coordinate
-from vf.tree.closest import distance_error
+from vf.tree.closest import distance_error, well_shaped
 from vf.tree.pdtree import EXACT, STACK, Tree, children_of, triangles_of
 
 # A node whose triangles move alike to within this is not opened to see how far they move [m].
@@ -247,7 +247,7 @@ def fill_boxes(before, after, blend, nodes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def place_corners(shape, first, last):  # type: ignore[no-untyped-def]
-    """Compute the corners, and their errors, of some triangles in tree order at a blend.
+    """Compute the corners of some triangles in tree order at a blend, not their errors.
 
     Args:
         shape: addresses of the faces of the skeleton, of the vertices before and after, of the
@@ -256,19 +256,44 @@ def place_corners(shape, first, last):  # type: ignore[no-untyped-def]
     """
     rows = numba.carray(rows_at(shape[0]), (last, 3))
     corners = numba.carray(floats_at(shape[3]), (last, 9))
-    errors = numba.carray(floats_at(shape[4]), (last,))
     late = shape[8]
     early = 1.0 - late
     for t in range(first, last):
-        c = corners[t]
         for j in range(3):
             row = rows[t, j]
             before = numba.carray(floats_at(shape[1]), (row + 1, 3))
             after = numba.carray(floats_at(shape[2]), (row + 1, 3))
             for k in range(3):
-                c[3 * j + k] = early * before[row, k] + late * after[row, k]
-        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-        errors[t] = error if error > EXACT else 0.0
+                corners[t, 3 * j + k] = early * before[row, k] + late * after[row, k]
+
+
+@njit(cache=True, nogil=True)
+def place_errors(shape, first, last):  # type: ignore[no-untyped-def]
+    """Compute the errors of triangles whose corners are placed: see `pdtree.Tree`.
+
+    Apart from `place_corners`, as a walk measures the distance of one triangle in three that it
+    comes to.
+
+    Args:
+        shape: see `place_corners`.
+    """
+    corners = numba.carray(floats_at(shape[3]), (last, 9))
+    errors = numba.carray(floats_at(shape[4]), (last,))
+    for t in range(first, last):
+        errors[t] = _error(corners, t)
+
+
+@njit(cache=True, nogil=True)
+def _error(corners, t):  # type: ignore[no-untyped-def]
+    """`distance_error` of triangle t, or 0 where that is at most `EXACT` [m]."""
+    ax, ay, az = corners[t, 0], corners[t, 1], corners[t, 2]
+    bx, by, bz = corners[t, 3], corners[t, 4], corners[t, 5]
+    cx, cy, cz = corners[t, 6], corners[t, 7], corners[t, 8]
+    # Most triangles are told by their shape, without the root and the division of the error.
+    if well_shaped(ax, ay, az, bx, by, bz, cx, cy, cz, EXACT):
+        return 0.0
+    error = distance_error(ax, ay, az, bx, by, bz, cx, cy, cz)
+    return error if error > EXACT else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -280,8 +305,7 @@ def fill_corners(rows, before, after, blend, corners, errors):  # type: ignore[n
         for j in range(3):
             for k in range(3):
                 c[3 * j + k] = early * before[rows[t, j], k] + blend * after[rows[t, j], k]
-        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-        errors[t] = error if error > EXACT else 0.0
+        errors[t] = _error(corners, t)
 
 
 @njit(cache=True, nogil=True)
@@ -291,6 +315,19 @@ def farthest_shift(shifts, node, share):  # type: ignore[no-untyped-def]
     for k in range(3):
         far += max(abs(shifts[node, k]), abs(shifts[node, 3 + k])) ** 2
     return abs(share) * np.sqrt(far)
+
+
+@njit(cache=True, nogil=True)
+def _between(shifts, node, lx, ly, lz, hx, hy, hz):  # type: ignore[no-untyped-def]
+    """Whether all that a node holds moves by what is between two bounds for each coordinate."""
+    return (
+        shifts[node, 0] >= lx
+        and shifts[node, 1] >= ly
+        and shifts[node, 2] >= lz
+        and shifts[node, 3] <= hx
+        and shifts[node, 4] <= hy
+        and shifts[node, 5] <= hz
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -323,9 +360,7 @@ def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-un
     while depth > 0:
         depth -= 1
         node = waiting[depth]
-        inside = shifts[node, 0] >= lx and shifts[node, 1] >= ly and shifts[node, 2] >= lz
-        inside = inside and shifts[node, 3] <= hx and shifts[node, 4] <= hy
-        if inside and shifts[node, 5] <= hz:
+        if _between(shifts, node, lx, ly, lz, hx, hy, hz):
             continue
         if box_gap2(nodes, node, ends) > reach * reach:
             continue
@@ -337,10 +372,11 @@ def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-un
             size = max(size, nodes[node, 3 + k])
         if link > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
             first, last = children_of(link)
-            place_boxes(shape, first, last)
             for child in range(first, last):
-                waiting[depth] = child
-                depth += 1
+                if not _between(shifts, child, lx, ly, lz, hx, hy, hz):
+                    place_boxes(shape, child, child + 1)
+                    waiting[depth] = child
+                    depth += 1
             continue
         lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
         ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])
