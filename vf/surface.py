@@ -320,7 +320,7 @@ class DeformingSurface(_Relative):
 
     Attributes:
         vertices_after: (n, 3) float64 [m].
-        shifts: (k, 6) of `shapes.fill_shifts` [m].
+        shifts: (k, 6) of `shapes.refit` [m].
         forms: numbers that no other shape has: of its shape at blend 0, of those between, and of
             its shape at blend 1, which is the first of the interval that follows.
     """
@@ -328,9 +328,10 @@ class DeformingSurface(_Relative):
     def __init__(self, kin: Surface, vertices_after: ArrayLike) -> None:
         """From the shape that `kin` goes on from."""
         family, before = kin._family, kin._form
-        super().__init__(kin, before, family.form(vertices_after))
+        after, shifts = family.follow(before, vertices_after)
+        super().__init__(kin, before, after)
         self.forms = (before.number, fresh_number(), self._after.number)
-        self.shifts = family.shifts(before, self._after)
+        self.shifts = shifts
         self._shown: tuple[float, Surface] | None = None
 
     @property

@@ -80,7 +80,8 @@ def run(options: Structures, say: Say, advance: Callable[[float], None]) -> dict
         fixtures = [vf.MeshFixture(one, "certified", options.radius) for one in surfaces]
         cells[name] = runtime.Cell(
             "certified", options.radius, sum(len(one.faces) for one in surfaces),
-            sum(len(one.vertices) for one in surfaces), vf.Controller(arm, fixtures), surfaces[0],
+            sum(len(one.vertices) for one in surfaces),
+            vf.Controller(arm, fixtures, vf.Settings(guard=options.guard)), surfaces[0],
         )  # fmt: skip
     for cell in cells.values():  # warms up too
         runtime.drive(cell, route, 0)
@@ -138,7 +139,9 @@ def show(result: dict[str, Any], console: Console) -> None:
             )
             for row in result["rows"]
         ],
-        title="One tick of the PSM, certified rule, tip alone, in µs",
+        title="One tick of the PSM, certified rule, "
+        + ("tip alone" if result["options"]["guard"] == "tip" else "whole instrument")
+        + ", in µs",
     )  # fmt: skip
     for name, ratio in result["ratio to the large mesh"].items():
         console.print(f"{name}: {ratio:.2f} times the large mesh")

@@ -49,7 +49,7 @@ from vf.tree.axis import (
     triangle_gap2,
 )
 from vf.tree.pdtree import EXACT, Tree, children_of, triangles_of
-from vf.tree.shapes import RIGID, place_boxes, place_corners
+from vf.tree.shapes import RIGID, place_boxes, place_corners, place_errors
 
 BUDGET = 64  # planes that a walk may choose; masks have one bit for each
 # On top of the standoff, plane number k (from 0) is moved towards x by k times this share of its
@@ -272,6 +272,8 @@ def walk(  # type: ignore[no-untyped-def]
                         )
                         if hidden:
                             continue
+                    if shape[0] != 0:
+                        place_errors(shape, entry, entry + 1)
                     e2 = triangle_gap2(corners, entry, slivers, ends)
                     if varied:
                         e2 = (np.sqrt(e2) + (widest - shift)) ** 2

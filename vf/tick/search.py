@@ -212,7 +212,12 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                 margin = sides[f, at.MARGIN]
                 if search[at.MOVES] > 0:
                     margin += motions[f, at.ADDED]
-                    if search[at.FACES] != 0:
+                    if search[at.FACES] != 0 and tip:
+                        # `set_radius` has looked at the same ball.
+                        more = motions[f, at.MORE]
+                        way = motions[f, at.SHIFT : at.SPREAD + 3]
+                        dx, dy, dz, wx, wy, wz = way[0], way[1], way[2], way[3], way[4], way[5]
+                    elif search[at.FACES] != 0:
                         wide = radius + thickness + margin + more
                         far, dx, dy, dz, wx, wy, wz = shift_of(search, motions[f], here, wide)
                         _note_most(motions[f], far, wx, wy, wz)

@@ -20,7 +20,7 @@ from vf.rules.certified import HEAP
 from vf.tick.moving import bend, distance, into, shape_of, shift_of
 from vf.tree.axis import box_gap2, triangle_gap2
 from vf.tree.pdtree import children_of, triangles_of
-from vf.tree.shapes import place_boxes, place_corners
+from vf.tree.shapes import place_boxes, place_corners, place_errors
 
 # A body on its way is never this close, as a share of the standoff.
 CLEAR = 0.1
@@ -244,6 +244,7 @@ def gap(nodes, corners, slivers, shape, axis, limit, queue):  # type: ignore[no-
             first, last = triangles_of(link)
             if shape[0] != 0:
                 place_corners(shape, first, last)
+                place_errors(shape, first, last)
             for t in range(first, last):
                 best = min(best, triangle_gap2(corners, t, slivers, ends))
     return np.sqrt(best)

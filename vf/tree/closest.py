@@ -115,6 +115,21 @@ def distance_error(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyp
     return rounding / SLIVER + 2.0 * SLIVER * sqrt(longest2)
 
 
+@njit(cache=True, nogil=True)
+def well_shaped(ax, ay, az, bx, by, bz, cx, cy, cz, error):  # type: ignore[no-untyped-def]
+    """Whether `distance_error` is certainly at most `error` [m]: quicker, as most triangles are."""
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    area2 = nx * nx + ny * ny + nz * nz
+    # More than the longest edge squared, and than the largest coordinate.
+    long2 = 2.0 * (ux * ux + uy * uy + uz * uz + vx * vx + vy * vy + vz * vz)
+    size = abs(ax) + abs(ay) + abs(az)
+    size += abs(ux) + abs(uy) + abs(uz) + abs(vx) + abs(vy) + abs(vz)
+    thin = (33.0 * 2.3e-16 * size + 3.0 * SLIVER * error) * long2
+    return error * error * area2 > thin * thin
+
+
 # Where the sine² of the angle at corner 0 is below this, `distance2_to_triangle` would lose digits.
 _SHARP = 1e-4
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from vf.planes import LARGEST, FloatArray, IntArray
 from vf.tree.pdtree import Tree
-from vf.tree.shapes import fill_shifts, refit, skeleton, take
+from vf.tree.shapes import refit, skeleton, take
 
 MOST_KEPT = 4  # arrays of a kind that are taken again
 
@@ -64,6 +64,21 @@ class Family:
         """A shape from vertices (n, 3) in the caller's order [m].
 
         Raises:
+            ValueError: see `follow`.
+        """
+        return self.follow(None, vertices)[0]
+
+    def follow(self, before: Form | None, vertices: ArrayLike) -> tuple[Form, FloatArray]:
+        """A shape after another one, and how far what the nodes hold moves from that one to it.
+
+        Args:
+            before: the other shape; None: it is the same one.
+            vertices: (n, 3) in the caller's order [m].
+
+        Returns:
+            The shape, and (k, 6) the shifts, read-only, see `shapes.refit` [m].
+
+        Raises:
             ValueError: wrong shape, a vertex is not finite, or one of a face is too far away.
         """
         order, used = self.skeleton.order, self.skeleton.used
@@ -87,15 +102,12 @@ class Family:
             )
         together = bool((v[self._doubles] == v[self._firsts]).all())
         boxes = self._boxes.array((len(self.nodes), 6))
-        refit(self.nodes, self.skeleton.starts, self.skeleton.fans, kept, boxes)
-        return Form(kept, boxes, largest, together)
-
-    def shifts(self, before: Form, after: Form) -> FloatArray:
-        """(k, 6) how far what the nodes hold moves, read-only, see `shapes.fill_shifts` [m]."""
         shifts = self._shifts.array((len(self.nodes), 6))
         bones = self.skeleton
-        fill_shifts(self.nodes, bones.starts, bones.fans, before.kept, after.kept, shifts)
-        return read_only(shifts)
+        read_only(kept)
+        other = kept if before is None else before.kept
+        refit(self.nodes, bones.starts, bones.fans, other, kept, boxes, shifts)
+        return Form(kept, boxes, largest, together), read_only(shifts)
 
 
 class _Memory:

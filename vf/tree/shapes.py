@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vf.kernels import floats_at, njit, rows_at
 from vf.planes import LARGEST, ROUND, IntArray
 from vf.tree.axis import box_gap2, largest_coordinate
-from vf.tree.closest import distance_error
+from vf.tree.closest import distance_error, well_shaped
 from vf.tree.pdtree import EXACT, STACK, Tree, children_of, triangles_of
 
 # A node whose triangles move alike to within this is not opened to see how far they move [m].
@@ -128,14 +128,19 @@ def take(vertices, order, used, kept):  # type: ignore[no-untyped-def]
 
 
 # Fused multiplications and additions, a sixth of the time: rounding is allowed for in any order.
+# What moves by a difference of two numbers is not affected.
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
-    """Fit the boxes of all nodes to a shape.
+def refit(nodes, starts, fans, before, after, boxes, shifts):  # type: ignore[no-untyped-def]
+    """Fit the boxes of all nodes to a shape, and find how far what they hold moved to get there.
 
     Args:
         nodes: (k, 16) of a `pdtree.Tree`, of which axes and links are read.
-        vertices: (n, 3) in the order of the skeleton [m].
+        starts, fans: of the skeleton.
+        before, after: (n, 3) vertices of the shape before and of this one, in the order of the
+            skeleton [m].
         boxes: (k, 6) written: centre and half sizes of each node [m].
+        shifts: (k, 6) written: the least and the greatest of after − before below a node, for each
+            coordinate [m].
     """
     for node in range(nodes.shape[0] - 1, -1, -1):
         link = nodes[node, 15]
@@ -144,10 +149,16 @@ def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
         c0, c1, c2 = nodes[node, 12], nodes[node, 13], nodes[node, 14]
         lx = ly = lz = np.inf
         hx = hy = hz = -np.inf
+        # Of the displacements.
+        kx = ky = kz = np.inf
+        gx = gy = gz = -np.inf
         if link > 0.0:
             first, last = children_of(link)
             ox, oy, oz = boxes[first, 0], boxes[first, 1], boxes[first, 2]
             for child in range(first, last):
+                kx, gx = min(kx, shifts[child, 0]), max(gx, shifts[child, 3])
+                ky, gy = min(ky, shifts[child, 1]), max(gy, shifts[child, 4])
+                kz, gz = min(kz, shifts[child, 2]), max(gz, shifts[child, 5])
                 x, y, z = boxes[child, 0] - ox, boxes[child, 1] - oy, boxes[child, 2] - oz
                 u, v, w = boxes[child, 3], boxes[child, 4], boxes[child, 5]
                 d0, d1, d2 = nodes[child, 6], nodes[child, 7], nodes[child, 8]
@@ -177,16 +188,23 @@ def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
         else:
             begin, end = starts[node], starts[node + 1]
             i = fans[begin]
-            ox, oy, oz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+            ox, oy, oz = after[i, 0], after[i, 1], after[i, 2]
             for k in range(begin, end):
                 i = fans[k]
-                x, y, z = vertices[i, 0] - ox, vertices[i, 1] - oy, vertices[i, 2] - oz
+                u, v, w = after[i, 0], after[i, 1], after[i, 2]
+                x, y, z = u - before[i, 0], v - before[i, 1], w - before[i, 2]
+                kx, gx = min(kx, x), max(gx, x)
+                ky, gy = min(ky, y), max(gy, y)
+                kz, gz = min(kz, z), max(gz, z)
+                x, y, z = u - ox, v - oy, w - oz
                 p = a0 * x + a1 * y + a2 * z
                 lx, hx = min(lx, p), max(hx, p)
                 p = b0 * x + b1 * y + b2 * z
                 ly, hy = min(ly, p), max(hy, p)
                 p = c0 * x + c1 * y + c2 * z
                 lz, hz = min(lz, p), max(hz, p)
+        shifts[node, 0], shifts[node, 1], shifts[node, 2] = kx, ky, kz
+        shifts[node, 3], shifts[node, 4], shifts[node, 5] = gx, gy, gz
         x, y, z = 0.5 * (lx + hx), 0.5 * (ly + hy), 0.5 * (lz + hz)
         boxes[node, 0] = ox + (x * a0 + y * b0 + z * c0)
         boxes[node, 1] = oy + (x * a1 + y * b1 + z * c1)
@@ -196,39 +214,6 @@ def refit(nodes, starts, fans, vertices, boxes):  # type: ignore[no-untyped-def]
         boxes[node, 3] = 0.5 * (hx - lx) * (1.0 + 1e-12) + size
         boxes[node, 4] = 0.5 * (hy - ly) * (1.0 + 1e-12) + size
         boxes[node, 5] = 0.5 * (hz - lz) * (1.0 + 1e-12) + size
-
-
-@njit(cache=True, nogil=True)
-def fill_shifts(nodes, starts, fans, before, after, shifts):  # type: ignore[no-untyped-def]
-    """Write how far what the nodes hold moves from one shape to another.
-
-    Args:
-        nodes: (k, 16), of which links are read.
-        before, after: (n, 3) vertices in the order of the skeleton [m].
-        shifts: (k, 6) written: the least and the greatest of after − before below a node, for each
-            coordinate [m].
-    """
-    for node in range(nodes.shape[0] - 1, -1, -1):
-        link = nodes[node, 15]
-        lx = ly = lz = np.inf
-        hx = hy = hz = -np.inf
-        if link > 0.0:
-            first, last = children_of(link)
-            for child in range(first, last):
-                lx, hx = min(lx, shifts[child, 0]), max(hx, shifts[child, 3])
-                ly, hy = min(ly, shifts[child, 1]), max(hy, shifts[child, 4])
-                lz, hz = min(lz, shifts[child, 2]), max(hz, shifts[child, 5])
-        else:
-            for k in range(starts[node], starts[node + 1]):
-                i = fans[k]
-                x = after[i, 0] - before[i, 0]
-                y = after[i, 1] - before[i, 1]
-                z = after[i, 2] - before[i, 2]
-                lx, hx = min(lx, x), max(hx, x)
-                ly, hy = min(ly, y), max(hy, y)
-                lz, hz = min(lz, z), max(hz, z)
-        shifts[node, 0], shifts[node, 1], shifts[node, 2] = lx, ly, lz
-        shifts[node, 3], shifts[node, 4], shifts[node, 5] = hx, hy, hz
 
 
 @njit(cache=True, nogil=True)
@@ -262,7 +247,7 @@ def fill_boxes(before, after, blend, nodes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def place_corners(shape, first, last):  # type: ignore[no-untyped-def]
-    """Compute the corners, and their errors, of some triangles in tree order at a blend.
+    """Compute the corners of some triangles in tree order at a blend, not their errors.
 
     Args:
         shape: addresses of the faces of the skeleton, of the vertices before and after, of the
@@ -271,19 +256,44 @@ def place_corners(shape, first, last):  # type: ignore[no-untyped-def]
     """
     rows = numba.carray(rows_at(shape[0]), (last, 3))
     corners = numba.carray(floats_at(shape[3]), (last, 9))
-    errors = numba.carray(floats_at(shape[4]), (last,))
     late = shape[8]
     early = 1.0 - late
     for t in range(first, last):
-        c = corners[t]
         for j in range(3):
             row = rows[t, j]
             before = numba.carray(floats_at(shape[1]), (row + 1, 3))
             after = numba.carray(floats_at(shape[2]), (row + 1, 3))
             for k in range(3):
-                c[3 * j + k] = early * before[row, k] + late * after[row, k]
-        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-        errors[t] = error if error > EXACT else 0.0
+                corners[t, 3 * j + k] = early * before[row, k] + late * after[row, k]
+
+
+@njit(cache=True, nogil=True)
+def place_errors(shape, first, last):  # type: ignore[no-untyped-def]
+    """Compute the errors of triangles whose corners are placed: see `pdtree.Tree`.
+
+    Apart from `place_corners`, as a walk measures the distance of one triangle in three that it
+    comes to.
+
+    Args:
+        shape: see `place_corners`.
+    """
+    corners = numba.carray(floats_at(shape[3]), (last, 9))
+    errors = numba.carray(floats_at(shape[4]), (last,))
+    for t in range(first, last):
+        errors[t] = _error(corners, t)
+
+
+@njit(cache=True, nogil=True)
+def _error(corners, t):  # type: ignore[no-untyped-def]
+    """`distance_error` of triangle t, or 0 where that is at most `EXACT` [m]."""
+    ax, ay, az = corners[t, 0], corners[t, 1], corners[t, 2]
+    bx, by, bz = corners[t, 3], corners[t, 4], corners[t, 5]
+    cx, cy, cz = corners[t, 6], corners[t, 7], corners[t, 8]
+    # Most triangles are told by their shape, without the root and the division of the error.
+    if well_shaped(ax, ay, az, bx, by, bz, cx, cy, cz, EXACT):
+        return 0.0
+    error = distance_error(ax, ay, az, bx, by, bz, cx, cy, cz)
+    return error if error > EXACT else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -295,8 +305,7 @@ def fill_corners(rows, before, after, blend, corners, errors):  # type: ignore[n
         for j in range(3):
             for k in range(3):
                 c[3 * j + k] = early * before[rows[t, j], k] + blend * after[rows[t, j], k]
-        error = distance_error(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-        errors[t] = error if error > EXACT else 0.0
+        errors[t] = _error(corners, t)
 
 
 @njit(cache=True, nogil=True)
@@ -306,6 +315,19 @@ def farthest_shift(shifts, node, share):  # type: ignore[no-untyped-def]
     for k in range(3):
         far += max(abs(shifts[node, k]), abs(shifts[node, 3 + k])) ** 2
     return abs(share) * np.sqrt(far)
+
+
+@njit(cache=True, nogil=True)
+def _between(shifts, node, lx, ly, lz, hx, hy, hz):  # type: ignore[no-untyped-def]
+    """Whether all that a node holds moves by what is between two bounds for each coordinate."""
+    return (
+        shifts[node, 0] >= lx
+        and shifts[node, 1] >= ly
+        and shifts[node, 2] >= lz
+        and shifts[node, 3] <= hx
+        and shifts[node, 4] <= hy
+        and shifts[node, 5] <= hz
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -338,9 +360,7 @@ def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-un
     while depth > 0:
         depth -= 1
         node = waiting[depth]
-        inside = shifts[node, 0] >= lx and shifts[node, 1] >= ly and shifts[node, 2] >= lz
-        inside = inside and shifts[node, 3] <= hx and shifts[node, 4] <= hy
-        if inside and shifts[node, 5] <= hz:
+        if _between(shifts, node, lx, ly, lz, hx, hy, hz):
             continue
         if box_gap2(nodes, node, ends) > reach * reach:
             continue
@@ -352,10 +372,11 @@ def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-un
             size = max(size, nodes[node, 3 + k])
         if link > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
             first, last = children_of(link)
-            place_boxes(shape, first, last)
             for child in range(first, last):
-                waiting[depth] = child
-                depth += 1
+                if not _between(shifts, child, lx, ly, lz, hx, hy, hz):
+                    place_boxes(shape, child, child + 1)
+                    waiting[depth] = child
+                    depth += 1
             continue
         lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
         ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])

@@ -70,6 +70,7 @@ class Structures(Checked):
     size: int = option(_SIZE, SIZES[0], "Triangles of each.")
     large: int = option(_SIZE, SIZES[-1], "Triangles of the large mesh.")
     radius: float | None = option(Maybe(_RADIUS, "auto"), 5e-3, "Radius of the motion sphere.")
+    guard: str = option(OneOf("guard", choices.GUARDS), "tip", "What is kept out.")
     ticks: int = option(
         Whole(1, 10**7), 2400, "Ticks of each row and pass: 200 for each spot of the route."
     )

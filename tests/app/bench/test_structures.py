@@ -29,6 +29,21 @@ def test_structures_in_reach_give_planes_and_those_out_of_reach_none(tmp_path: P
     assert set(result["ratio to the large mesh"]) == set(list(rows)[1:])
 
 
+def test_the_whole_instrument_is_guarded_on_request(tmp_path: Path) -> None:
+    alone, whole = (
+        structures.run(
+            settings.Structures(
+                size=1_024, large=2_048, count=2, ticks=200, passes=1, guard=guard, out=tmp_path
+            ),
+            lambda _: None,
+            lambda _: None,
+        )
+        for guard in ("tip", "tool")
+    )
+    for one, other in zip(alone["rows"], whole["rows"], strict=True):
+        assert other["planes"] > one["planes"]
+
+
 def test_the_command_prints_the_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["structures", "--size", "1024", "--large", "2048", "--count", "2", "--ticks", "200",
              "--passes", "1", "--out", str(tmp_path)]  # fmt: skip

@@ -294,6 +294,28 @@ def test_what_is_near_is_bounded() -> None:
     assert tightest < 1.3
 
 
+def test_how_far_off_a_distance_to_a_sliver_may_be_is_known_in_every_shape() -> None:
+    rng = np.random.default_rng(8)
+    middles, along = rng.uniform(-0.01, 0.01, (40, 3)), rng.normal(size=(40, 3))
+    middles[:, 2], along[:, 2] = 0.0, 0.0
+    thin = 10.0 ** rng.uniform(-8.0, -3.0, 40)[:, None] * rng.normal(size=(40, 3))
+    soup = np.stack([middles - 1e-3 * along, middles + 1e-3 * along, middles + 1e-3 * thin], axis=1)
+    surface = vf.Surface.from_arrays(soup.reshape(-1, 3), np.arange(120).reshape(-1, 3))
+    body = surface.deforming(1.02 * surface.vertices)
+    controller, q = over(body), np.array([0.0, 0.0, 1e-3])
+    blend = 0.375
+    controller.step(q, pose(q), motions=[vf.Motion(HERE, HERE, blend=(blend, blend))])
+    placed, errors, _nodes = controller._block._scratch[0]
+    tree = body.shape(blend).tree
+    known = errors > 0.0
+    assert known.sum() > 5
+    assert (errors[known] == tree.errors[known]).all()
+    assert (placed[known] == tree.corners[known]).all()
+    # The nearest one is measured in any case.
+    nearest = tree.order == body.shape(blend).nearest(q)[1]
+    assert (errors[nearest] == tree.errors[nearest]).all()
+
+
 def test_boxes_hold_both_shapes_and_all_between() -> None:
     rng = np.random.default_rng(3)
     surface = ball(0.01, 3)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import vf
 from tests.support import naive
-from vf.tree.closest import distance2_to_triangle
+from vf.tree.closest import distance2_to_triangle, distance_error, well_shaped
 
 FEATURE_OF_WEIGHTS = {
     (True, True, True): vf.Feature.FACE,
@@ -179,3 +179,22 @@ def test_the_squared_distance_alone_of_sharp_triangles(sine, scale):
         # Coordinates are of the size of `scale`, and so is their rounding.
         tolerance = scale * 1e-14 / sine + 1e-11 * distance
         assert abs(sqrt(found) - sqrt(square)) <= tolerance, (triangle.tolist(), x.tolist())
+
+
+def test_a_triangle_that_counts_as_well_shaped_has_an_exact_distance() -> None:
+    rng = np.random.default_rng(4)
+    well = poor = 0
+    for _ in range(20_000):
+        c = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-6, 0)
+        k, share, thin = rng.integers(3), rng.random(), 10.0 ** rng.uniform(-9, 0)
+        c[k] += (1.0 - thin) * (share * c[k - 1] + (1.0 - share) * c[k - 2] - c[k])
+        c += rng.normal(size=3) * 10.0 ** rng.uniform(-3, 1)
+        error = distance_error(*c.ravel())
+        if well_shaped(*c.ravel(), 1e-12):
+            assert error <= 1e-12
+            well += 1
+        else:
+            # It is not said of triangles that are far better than that.
+            assert error > 5e-15
+            poor += 1
+    assert min(well, poor) > 1_000
