@@ -131,8 +131,9 @@ def run(
                 begin(f"{part.mesh}, {part.damage}")
                 _keep(found, part, future.result())
                 progress(part.steps)
-        finally:
+        except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def _parts(campaign: Campaign) -> Iterator[_Part]:
