@@ -7,7 +7,7 @@ import contextlib
 import os
 import sys
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -79,6 +79,32 @@ def progress(*, counted: bool = False, bar: bool = True, refresh: float = 10) ->
         *columns, console=out, transient=True, disable=not out.is_terminal,
         refresh_per_second=refresh,
     )  # fmt: skip
+
+
+def run_counted(
+    name: str,
+    work: int,
+    run: Callable[[Callable[[str], None], Callable[[int], None]], None],
+) -> bool:
+    """Do some work under a bar; whether Ctrl-C interrupted it.
+
+    Args:
+        name: of the work, until it says otherwise.
+        work: number of items.
+        run: called once, with what to call with the name of the present part of the work, and with
+            the number of items just done.
+    """
+    bar = progress(counted=True)
+    try:
+        with bar:
+            task = bar.add_task(name, total=work)
+            run(
+                lambda part: bar.update(task, description=part),
+                lambda done: bar.advance(task, done),
+            )
+    except KeyboardInterrupt:
+        return True
+    return False
 
 
 def count(number: int, thing: str, things: str | None = None) -> str:

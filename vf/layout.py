@@ -43,7 +43,7 @@ ANSWER = 12  # Python's answer to a question: a `vf.Solver`, or 1 for yes
 BODIES = 13  # how many bodies are guarded beside the tip
 STUCK = 14  # 1: the axis of a body meets the mesh
 MOVING = 15  # 1: a structure moves in this tick
-YIELDS = 16  # 1: no step was found that obeys what moves, so this is the one that misses it least
+YIELDS = 16  # MISSES: no step was found that obeys what moves; or AT_RISK
 # … and the addresses of its parts.
 CHAIN = 17  # (LINKS, chain.LINK)
 AXES = 18  # (LINKS, 6) of the joints
@@ -79,7 +79,10 @@ MOTIONS = 47  # (FIXTURES, MOTION) how each fixture moves
 RECOVERS = 48  # not an address; 1: a step has to gain what is in
 GAINS = 49  # (ROOM,) what each plane asks a step to gain, see `attempts.note_gains` [m]
 DEFORMS = 50  # not an address; 1: the surface of a fixture deforms
-WORDS = 51
+NEEDED = 51  # (ROOM,) what of GAINS a step has to gain at least [m]
+SOUGHT = 52  # (ROOM, n) rows of planes that ask a step to gain something, …
+SOUGHT_GAINS = 53  # (ROOM,) … and how much [m]
+WORDS = 54
 
 # NUMBERS: settings …
 STANDOFF = 0  # [m]
@@ -225,3 +228,7 @@ SHORTER = 3  # a shorter part of it
 CORRECTED = 4  # the optimum with rows moved by the linearisation error just measured
 PART = 5  # by bisection
 RECOVERY = 6  # the least step that recovers; then steps between it and the optimum, by bisection
+
+# How a step is not free of what moves (YIELDS).
+MISSES = 1  # it obeys not all planes, and is the one that misses them least
+AT_RISK = 2  # it does, but a structure that is known to within a length only may be in the tool

@@ -33,7 +33,8 @@ class Motion:
     Args:
         start, end: T_base_structure at the start and at the end of the tick.
         margin: added to the margins of the fixture in this tick [m], as for a structure whose
-            place is known to within that length. The certified rule alone uses it.
+            place is known to within that length, which a tool that cannot keep it is overtaken by.
+            The certified rule alone uses it.
         growth: of the margin since the last tick [m]: the tool is led out by that much faster.
         blend: of a `DeformingSurface`, how far it is on its way from the one shape to the other at
             the start and at the end of the tick, each from 0 to 1. In between vertices move

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from app.commands import interrupted
-from app.console import count, progress
+from app.console import count, run_counted
 from app.words import format_length
 
 if TYPE_CHECKING:
@@ -44,18 +45,8 @@ def run_moving(
     )  # fmt: skip
     found = moved.Findings()
     began = perf_counter()
-    stopped = False
-    bar = progress(counted=True)
-    try:
-        with bar:
-            task = bar.add_task("verify", total=campaign.work)
-            moved.run(
-                campaign, found,
-                lambda case: bar.update(task, description=case),
-                lambda done: bar.advance(task, done),
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        stopped = True
+    run = partial(moved.run, campaign, found, workers=options.workers)
+    stopped = run_counted("verify", campaign.work, run)
     if stopped and not found.drives:
         return interrupted(program, "before anything was done")
     parts = "the tip" if options.guard is None else f"whole instrument, guard {options.guard}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from rich.console import Console
 from app import choices
 from app.commands import interrupted
 from app.commands._verify_motion import run_moving
-from app.console import Column, count, progress, show_table
+from app.console import Column, count, progress, run_counted, show_table
 from app.console import console as new_console
 from app.kinds import SEEDS, File, Maybe, Number, OneOf, Repeated, Switch, Whole
 from app.motion.declared import Tracker
@@ -119,9 +120,12 @@ class Verify(Checked):
     )  # fmt: skip
     tracker: Tracker | None = like(
         Options, "tracker",
-        about="With --motion rigid: how often a tracker sees the mesh [Hz]; off: the guard knows "
+        about="With --motion: how often a tracker sees the mesh [Hz]; off: the guard knows "
         "where it is. What follows directly is of the tracker: --latency, --noise, --dropouts, "
         "--bound, which nothing is faster than, …",
+    )  # fmt: skip
+    workers: int = option(
+        Whole(0, 64), 0, "Processes, with --motion; 0 computes in this one. Results are the same."
     )  # fmt: skip
     outside: bool = option(
         Switch(), False,
@@ -137,12 +141,14 @@ class Verify(Checked):
         super().__post_init__()
         if self.steps == 0 and self.queries == 0:
             raise OptionError("nothing to do: steps and queries are both 0")
-        if self.tracker is not None and self.motion != "rigid":
-            raise OptionError("a tracker is of --motion rigid")
+        if self.tracker is not None and self.motion is None:
+            raise OptionError("a tracker is of --motion")
         if self.motion is not None and (self.queries or self.outside or self.tip_radius):
             raise OptionError(
                 "motion: there are no --queries, no --outside and no --tip-radius with it"
             )
+        if self.workers and self.motion is None:
+            raise OptionError("workers are of --motion")
         if self.guard is not None and (self.rule != "certified" or self.outside or self.tip_radius):
             raise OptionError(
                 "guard: the whole instrument is verified with rule certified, without --outside "
@@ -289,18 +295,7 @@ def _run_guarded(
     )  # fmt: skip
     found = guarded.Findings()
     began = perf_counter()
-    stopped = False
-    bar = progress(counted=True)
-    try:
-        with bar:
-            task = bar.add_task("verify", total=campaign.work)
-            guarded.run(
-                campaign, found,
-                lambda case: bar.update(task, description=case),
-                lambda done: bar.advance(task, done),
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        stopped = True
+    stopped = run_counted("verify", campaign.work, partial(guarded.run, campaign, found))
     if stopped and not found.drives and not found.covers:
         return interrupted(PROGRAM, "before anything was done")
     title = (

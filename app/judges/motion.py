@@ -1,13 +1,17 @@
-"""Whether capsules pass the triangles of a mesh while joints move, proved piece by piece.
+"""Whether capsules pass triangles while joints move and triangles deform, proved piece by piece.
 
 On a piece of the motion the ends of an axis leave the straight lines between their places at its
 start and its end by no more than an eighth of the bound on their second derivative, times the
-piece's length squared. A plane that has a triangle on one side and on the other, farther than that
-and the radius, the four places of the ends, is proof that the capsule does not touch the triangle
-on this piece. Where no such plane is found the piece is halved, until the capsule overlaps the
-triangle, or no end moves farther than `FINEST` on it: then it is taken to touch. So what is not
-proved is reported; distances only say where to look for a plane. (Within a few
-nanometres of the edge of a triangle rounding leaves no such plane for a body of no radius.)
+piece's length squared. The corners of a triangle go straight from one shape of the mesh to another;
+of one that keeps its shape they rest. A plane that has, both at the start and at the end of the
+piece, the triangle on one side and on the other, farther than that and the radius, the ends of the
+axis, has them so at every time of it: on its straight way the farthest corner along the normal is
+no farther than in proportion between the two, and the nearest end is no nearer. So it is proof that
+the capsule does not touch the triangle on this piece. Where no such plane is found the piece is
+halved, until the capsule overlaps the triangle, or nothing moves farther than `FINEST` on it: then
+it is taken to touch. So what is not proved is reported; distances only say where to look for a
+plane. (Within a few nanometres of the edge of a triangle rounding leaves no such plane for a body
+of no radius.)
 """
 
 from __future__ import annotations
@@ -26,28 +30,31 @@ DEEPEST = 64  # halvings; far more than lead to `FINEST`
 
 @njit(cache=True, nogil=True)
 def first_contacts(  # type: ignore[no-untyped-def]
-    vertices, faces, order, boxes, levels, lines, posture, ends, carried, radii, chosen, q, dq,
-    found, shares, triangles,
+    box_vertices, box_faces, order, levels_boxes, levels, vertices, ways, faces, first, last,
+    lines, posture, ends, carried, radii, chosen, q, dq, found, shares, triangles,
 ):  # fmt: skip
-    """For each chosen capsule the share of the motion at which it first touches a triangle.
+    """For each chosen capsule the share of the tick at which it first touches a triangle.
 
     Args:
-        vertices, …, levels: see `boxes.Boxes`.
-        lines, …, carried: see `screws.Screws`.
+        box_vertices, …, levels: see `boxes.Boxes`; around all shapes of the tick.
+        vertices, ways, faces: see `passing.Shapes`.
+        first, last: share of the ways at the start and at the end of the tick.
+        lines, …, carried: see `screws.Screws`, in the structure's frame.
         radii: (c,) of the capsules [m].
         chosen: numbers of the capsules to look at.
-        q, dq: (n,) the joints go from q to q + dq in proportion.
+        q, dq: the joints go from q to q + dq in proportion.
         found: room for the triangles near one capsule's motion.
         shares, triangles: (c,) written for the chosen: inf and −1 where nothing is touched.
 
     Returns:
         0, or the size that `found` needs.
     """
-    there = np.empty(q.shape[0])
-    # Starts and ends of the axis at the beginning, the middle and the end of the whole motion.
-    spots = np.empty((3, 2, 3))
+    n = q.shape[0]
+    there = np.empty(n)
     stack = np.empty((DEEPEST, 2))
+    whole = np.empty((3, 2, 3))
     piece = np.empty((3, 2, 3))
+    corners = np.empty((3, 3, 3))
     for k in chosen:
         shares[k], triangles[k] = np.inf, -1
         speed = 0.0
@@ -55,22 +62,26 @@ def first_contacts(  # type: ignore[no-untyped-def]
         for e in range(2):
             way, curve = fastest(lines, posture, ends, carried, 2 * k + e, q, dq)
             speed, bend = max(speed, way), max(bend, curve)
-            for m in range(3):
-                for j in range(q.shape[0]):
-                    there[j] = q[j] + 0.5 * m * dq[j]
-                place_end(lines, posture, ends, carried, 2 * k + e, there, spots[m, e])
+        _place(lines, posture, ends, carried, k, q, dq, 0.0, 1.0, there, whole)
         radius = max(radii[k] - TOLERANCE, 0.0)
         reach = radius + speed + 2.0 * FINEST
         near = list_near(
-            vertices, faces, order, boxes, levels, spots[0, 0], spots[0, 1], reach, found
-        )
+            box_vertices, box_faces, order, levels_boxes, levels, whole[0, 0], whole[0, 1], reach,
+            found,
+        )  # fmt: skip
         if near > found.shape[0]:
             return near
         for i in range(near):
             t = found[i]
-            p, r, s = vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]]
-            if clear(spots, p, r, s, radius + 0.125 * bend):
+            _corners(vertices, ways, faces, t, first, last, 0.0, 1.0, corners)
+            if clear(whole, corners, radius + 0.125 * bend):
                 continue
+            pace = speed
+            for c in range(3):
+                gone = 0.0
+                for axis in range(3):
+                    gone += (corners[2, c, axis] - corners[0, c, axis]) ** 2
+                pace = max(pace, speed + np.sqrt(gone))
             # The pieces that are left, from the last to the first.
             stack[0, 0], stack[0, 1] = 0.0, 1.0
             count = 1
@@ -79,17 +90,14 @@ def first_contacts(  # type: ignore[no-untyped-def]
                 low, high = stack[count, 0], stack[count, 1]
                 if low >= shares[k]:
                     break
-                for m in range(3):
-                    share = low + 0.5 * m * (high - low)
-                    for j in range(q.shape[0]):
-                        there[j] = q[j] + share * dq[j]
-                    for e in range(2):
-                        place_end(lines, posture, ends, carried, 2 * k + e, there, piece[m, e])
+                _place(lines, posture, ends, carried, k, q, dq, low, high, there, piece)
+                _corners(vertices, ways, faces, t, first, last, low, high, corners)
                 length = high - low
-                if clear(piece, p, r, s, radius + 0.125 * bend * length * length):
+                if clear(piece, corners, radius + 0.125 * bend * length * length):
                     continue
-                small = speed * length <= FINEST or count + 2 > DEEPEST
-                if small or overlaps(piece[0, 0], piece[0, 1], p, r, s, radius):
+                small = pace * length <= FINEST or count + 2 > DEEPEST
+                x = corners[0]
+                if small or overlaps(piece[0, 0], piece[0, 1], x[0], x[1], x[2], radius):
                     shares[k], triangles[k] = low, t
                     break
                 middle = low + 0.5 * length
@@ -100,14 +108,38 @@ def first_contacts(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def clear(piece, p, q, r, room):  # type: ignore[no-untyped-def]
-    """Whether a plane is found that has the triangle pqr farther than `room` from all four ends.
+def _place(lines, posture, ends, carried, k, q, dq, low, high, there, piece):  # type: ignore[no-untyped-def]
+    """Ends of axis k at the beginning, the middle and the end of a piece, into (3, 2, 3)."""
+    for m in range(3):
+        share = low + 0.5 * m * (high - low)
+        for j in range(q.shape[0]):
+            there[j] = q[j] + share * dq[j]
+        for e in range(2):
+            place_end(lines, posture, ends, carried, 2 * k + e, there, piece[m, e])
+
+
+@njit(cache=True, nogil=True)
+def _corners(vertices, ways, faces, t, first, last, low, high, corners):  # type: ignore[no-untyped-def]
+    """Those of triangle t at the beginning, the middle and the end of a piece, into (3, 3, 3)."""
+    for m in range(3):
+        share = first + (low + 0.5 * m * (high - low)) * (last - first)
+        for c in range(3):
+            v = faces[t, c]
+            for axis in range(3):
+                corners[m, c, axis] = vertices[v, axis] + share * ways[v, axis]
+
+
+@njit(cache=True, nogil=True)
+def clear(piece, corners, room):  # type: ignore[no-untyped-def]
+    """Whether a plane is found that has a triangle farther than `room` from an axis all the way.
 
     Args:
-        piece: (3, 2, 3) ends of an axis at the beginning, the middle and the end of a motion.
+        piece: (3, 2, 3) ends of the axis at the beginning, the middle and the end of a motion.
+        corners: (3, 3, 3) of the triangle then.
     """
+    p, q, r = corners[1, 0], corners[1, 1], corners[1, 2]
     nx, ny, nz, _d2 = apart(piece[1, 0], piece[1, 1], p, q, r)
-    if _separates(piece, p, q, r, nx, ny, nz, room):
+    if _separates(piece, corners, nx, ny, nz, room):
         return True
     # The triangle's own plane is more accurate than a way that is hardly longer than its rounding.
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -116,21 +148,22 @@ def clear(piece, p, q, r, room):  # type: ignore[no-untyped-def]
     x = piece[1, 0]
     if fx * (x[0] - p[0]) + fy * (x[1] - p[1]) + fz * (x[2] - p[2]) < 0.0:
         fx, fy, fz = -fx, -fy, -fz
-    return _separates(piece, p, q, r, fx, fy, fz, room)
+    return _separates(piece, corners, fx, fy, fz, room)
 
 
 @njit(cache=True, nogil=True)
-def _separates(piece, p, q, r, nx, ny, nz, room):  # type: ignore[no-untyped-def]
-    """Whether the ends of a piece are more than `room` farther along n than the triangle."""
+def _separates(piece, corners, nx, ny, nz, room):  # type: ignore[no-untyped-def]
+    """Whether the ends are more than `room` farther along n than the triangle, first and last."""
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if not length > 0.0:
+    # A way to nowhere is infinite.
+    if not (length > 0.0 and length < np.inf):
         return False
     nx, ny, nz = nx / length, ny / length, nz / length
-    base = max(
-        nx * p[0] + ny * p[1] + nz * p[2],
-        max(nx * q[0] + ny * q[1] + nz * q[2], nx * r[0] + ny * r[1] + nz * r[2]),
-    )
     for m in (0, 2):
+        base = -np.inf
+        for c in range(3):
+            x = corners[m, c]
+            base = max(base, nx * x[0] + ny * x[1] + nz * x[2])
         for e in range(2):
             x = piece[m, e]
             if not nx * x[0] + ny * x[1] + nz * x[2] - base > room + ROUNDING:

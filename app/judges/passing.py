@@ -3,15 +3,7 @@
 Seen from the structure it is the instrument that moves. A twist of the structure is a turn about an
 axis and a slide along it, and so it is two more joints in front of those of the arm, which go the
 other way; an origin that goes straight while the axes turn is two such joints as well. What
-`screws` bounds of a chain of joints holds for this longer one.
-
-The corners of a triangle go straight from one shape to the other. A plane that has, both at the
-start and at the end of a piece of the motion, the triangle on one side and the ends of an axis on
-the other, farther than the radius and the bend, has them so at every time of it: on its straight
-way the farthest corner along the normal is no farther than in proportion between the two, and the
-nearest end is no nearer. As in `motion`, a piece without such a plane is halved until the capsule
-overlaps the triangle, or nothing moves farther than `FINEST` on it: what is not proved is a
-contact.
+`screws` bounds of a chain of joints holds for this longer one, and `motion` judges it.
 """
 
 from __future__ import annotations
@@ -23,9 +15,9 @@ from numpy.typing import NDArray
 
 import robots
 from app.judges import boxes, screws
-from app.judges.boxes import ROOM, Boxes, list_near
-from app.judges.motion import DEEPEST, FINEST, ROUNDING, TOLERANCE, apart, overlaps
-from app.judges.screws import fastest, place_end
+from app.judges.boxes import ROOM, Boxes
+from app.judges.motion import first_contacts
+from app.judges.screws import fastest
 from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
@@ -177,7 +169,7 @@ class Judge:
         count = len(far)
         before = np.zeros(count)
         while True:
-            room = first_passes(
+            room = first_contacts(
                 *mesh.boxes, mesh.vertices, mesh.ways, mesh.faces, blend[0], blend[1],
                 np.concatenate([lines, own]), np.concatenate([before, known.posture]),
                 (known.ends - t) @ R, known.carried + count, self.radii, self.chosen,
@@ -219,7 +211,7 @@ def first_touch(
     shares, triangles = np.empty(1), np.empty(1, dtype=np.int64)
     found = np.empty(ROOM, dtype=np.int64)
     while True:
-        room = first_passes(
+        room = first_contacts(
             *mesh.boxes, mesh.vertices, mesh.ways, mesh.faces, blend[0], blend[1], line, one, ends,
             np.ones(2, dtype=np.int64), np.array([radius]), np.zeros(1, dtype=np.int64), one,
             np.array([length]), found, shares, triangles,
@@ -242,146 +234,3 @@ def _enclose(vertices, ways, faces, corners):  # type: ignore[no-untyped-def]
             # For the rounding of what is between the two.
             corners[2 * t, axis] = low - 1e-15 * abs(low)
             corners[2 * t + 1, axis] = high + 1e-15 * abs(high)
-
-
-@njit(cache=True, nogil=True)
-def first_passes(  # type: ignore[no-untyped-def]
-    box_vertices, box_faces, order, levels_boxes, levels, vertices, ways, faces, first, last,
-    lines, posture, ends, carried, radii, chosen, q, dq, found, shares, triangles,
-):  # fmt: skip
-    """For each chosen capsule the share of the tick at which it first touches a triangle.
-
-    Args:
-        box_vertices, …, levels: see `boxes.Boxes`; around all shapes of the tick.
-        vertices, ways, faces: see `Shapes`.
-        first, last: share of the ways at the start and at the end of the tick.
-        lines, …, carried: see `screws.Screws`, in the structure's frame.
-        radii: (c,) of the capsules [m].
-        chosen: numbers of the capsules to look at.
-        q, dq: the joints go from q to q + dq in proportion.
-        found: room for the triangles near one capsule's motion.
-        shares, triangles: (c,) written for the chosen: inf and −1 where nothing is touched.
-
-    Returns:
-        0, or the size that `found` needs.
-    """
-    n = q.shape[0]
-    there = np.empty(n)
-    stack = np.empty((DEEPEST, 2))
-    whole = np.empty((3, 2, 3))
-    piece = np.empty((3, 2, 3))
-    corners = np.empty((3, 3, 3))
-    for k in chosen:
-        shares[k], triangles[k] = np.inf, -1
-        speed = 0.0
-        bend = 0.0
-        for e in range(2):
-            way, curve = fastest(lines, posture, ends, carried, 2 * k + e, q, dq)
-            speed, bend = max(speed, way), max(bend, curve)
-        _place(lines, posture, ends, carried, k, q, dq, 0.0, 1.0, there, whole)
-        radius = max(radii[k] - TOLERANCE, 0.0)
-        reach = radius + speed + 2.0 * FINEST
-        near = list_near(
-            box_vertices, box_faces, order, levels_boxes, levels, whole[0, 0], whole[0, 1], reach,
-            found,
-        )  # fmt: skip
-        if near > found.shape[0]:
-            return near
-        for i in range(near):
-            t = found[i]
-            _corners(vertices, ways, faces, t, first, last, 0.0, 1.0, corners)
-            if clear(whole, corners, radius + 0.125 * bend):
-                continue
-            pace = speed
-            for c in range(3):
-                gone = 0.0
-                for axis in range(3):
-                    gone += (corners[2, c, axis] - corners[0, c, axis]) ** 2
-                pace = max(pace, speed + np.sqrt(gone))
-            # The pieces that are left, from the last to the first.
-            stack[0, 0], stack[0, 1] = 0.0, 1.0
-            count = 1
-            while count > 0:
-                count -= 1
-                low, high = stack[count, 0], stack[count, 1]
-                if low >= shares[k]:
-                    break
-                _place(lines, posture, ends, carried, k, q, dq, low, high, there, piece)
-                _corners(vertices, ways, faces, t, first, last, low, high, corners)
-                length = high - low
-                if clear(piece, corners, radius + 0.125 * bend * length * length):
-                    continue
-                small = pace * length <= FINEST or count + 2 > DEEPEST
-                x = corners[0]
-                if small or overlaps(piece[0, 0], piece[0, 1], x[0], x[1], x[2], radius):
-                    shares[k], triangles[k] = low, t
-                    break
-                middle = low + 0.5 * length
-                stack[count, 0], stack[count, 1] = middle, high
-                stack[count + 1, 0], stack[count + 1, 1] = low, middle
-                count += 2
-    return 0
-
-
-@njit(cache=True, nogil=True)
-def _place(lines, posture, ends, carried, k, q, dq, low, high, there, piece):  # type: ignore[no-untyped-def]
-    """Ends of axis k at the beginning, the middle and the end of a piece, into (3, 2, 3)."""
-    for m in range(3):
-        share = low + 0.5 * m * (high - low)
-        for j in range(q.shape[0]):
-            there[j] = q[j] + share * dq[j]
-        for e in range(2):
-            place_end(lines, posture, ends, carried, 2 * k + e, there, piece[m, e])
-
-
-@njit(cache=True, nogil=True)
-def _corners(vertices, ways, faces, t, first, last, low, high, corners):  # type: ignore[no-untyped-def]
-    """Those of triangle t at the beginning, the middle and the end of a piece, into (3, 3, 3)."""
-    for m in range(3):
-        share = first + (low + 0.5 * m * (high - low)) * (last - first)
-        for c in range(3):
-            v = faces[t, c]
-            for axis in range(3):
-                corners[m, c, axis] = vertices[v, axis] + share * ways[v, axis]
-
-
-@njit(cache=True, nogil=True)
-def clear(piece, corners, room):  # type: ignore[no-untyped-def]
-    """Whether a plane is found that has a triangle farther than `room` from an axis all the way.
-
-    Args:
-        piece: (3, 2, 3) ends of the axis at the beginning, the middle and the end of a motion.
-        corners: (3, 3, 3) of the triangle then.
-    """
-    p, q, r = corners[1, 0], corners[1, 1], corners[1, 2]
-    nx, ny, nz, _d2 = apart(piece[1, 0], piece[1, 1], p, q, r)
-    if _separates(piece, corners, nx, ny, nz, room):
-        return True
-    # The triangle's own plane is more accurate than a way that is hardly longer than its rounding.
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    fx, fy, fz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    x = piece[1, 0]
-    if fx * (x[0] - p[0]) + fy * (x[1] - p[1]) + fz * (x[2] - p[2]) < 0.0:
-        fx, fy, fz = -fx, -fy, -fz
-    return _separates(piece, corners, fx, fy, fz, room)
-
-
-@njit(cache=True, nogil=True)
-def _separates(piece, corners, nx, ny, nz, room):  # type: ignore[no-untyped-def]
-    """Whether the ends are more than `room` farther along n than the triangle, first and last."""
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    # A way to nowhere is infinite.
-    if not (length > 0.0 and length < np.inf):
-        return False
-    nx, ny, nz = nx / length, ny / length, nz / length
-    for m in (0, 2):
-        base = -np.inf
-        for c in range(3):
-            x = corners[m, c]
-            base = max(base, nx * x[0] + ny * x[1] + nz * x[2])
-        for e in range(2):
-            x = piece[m, e]
-            if not nx * x[0] + ny * x[1] + nz * x[2] - base > room + ROUNDING:
-                return False
-    return True

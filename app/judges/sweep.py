@@ -86,8 +86,10 @@ class Judge:
                 rows = np.arange(3 * len(corners)).reshape(-1, 3)
                 self._outside[k] = boxes.build(corners.reshape(-1, 3), rows), origin
         whole = [k for k in range(len(self.radii)) if k not in self._outside]
-        self._groups = [(self.mesh, np.array(whole, dtype=np.int64))]
-        self._groups += [(tree, np.array([k])) for k, (tree, _) in self._outside.items()]
+        groups = [(self.mesh, np.array(whole, dtype=np.int64))]
+        groups += [(tree, np.array([k])) for k, (tree, _) in self._outside.items()]
+        # Each with the ways of its vertices, which rest.
+        self._groups = [(tree, np.zeros_like(tree.vertices), chosen) for tree, chosen in groups]
         self._found = np.empty(ROOM, dtype=np.int64)
         self._shares = np.empty(len(self.radii))
         self._triangles = np.empty(len(self.radii), dtype=np.int64)
@@ -119,11 +121,11 @@ class Judge:
         reported for that.
         """
         dq = q_new - q
-        for tree, chosen in self._groups:
+        for tree, ways, chosen in self._groups:
             while True:
                 room = first_contacts(
-                    *tree, *self.screws, self.radii, chosen, q, dq,
-                    self._found, self._shares, self._triangles,
+                    *tree, tree.vertices, ways, tree.faces, 0.0, 0.0, *self.screws, self.radii,
+                    chosen, q, dq, self._found, self._shares, self._triangles,
                 )  # fmt: skip
                 if room == 0:
                     break

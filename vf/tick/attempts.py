@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from vf import layout as at
-from vf.kernels import floats_at, njit
+from vf.kernels import floats_at, integers_at, njit
 from vf.qp.active_set import answer, attempt, finish
 from vf.qp.problem import RECOVERY, TIGHTENING, height, pace, sagitta
 from vf.qp.solver import Solver
@@ -28,6 +28,9 @@ SHORTENINGS = 4
 # Share of what recovery asks for that a step has to gain. With `RECOVERY` it is a third of what is
 # missing, so that no number of actuation errors in a row adds up to more than three of them.
 GAINED = 2.0 / 3.0
+# Of what leads out of a margin that grows a step may lack this much [m], which the next one catches
+# up with: less than `LED_OUT`.
+LEFT_BEHIND = 5e-6
 # A deficit below this share of the standoff is rounding: it asks for nothing, and is not reported.
 NEGLIGIBLE = 0.1
 # A step that gains less than this share of what is asked for at every plane does not count.
@@ -207,11 +210,15 @@ def _correct(words, numbers, table, planes, scratch, multipliers):  # type: igno
 
 
 @njit(cache=True)
-def note_gains(words, numbers, bounds):  # type: ignore[no-untyped-def]
+def note_gains(words, numbers, planes, bounds):  # type: ignore[no-untyped-def]
     """Note in GAINS what planes ask a step to recover, and in RECOVERS whether any does.
 
+    In NEEDED is what it has to gain at least: a share, but nearly all of it where a margin grows.
     From inside of something only the way out counts.
     """
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (words[at.FIXTURES], at.MOTION))
+    needed = numba.carray(floats_at(words[at.NEEDED]), (words[at.ROOM],))
     gains = numba.carray(floats_at(words[at.GAINS]), (words[at.ROOM],))
     words[at.RECOVERS] = 0
     if words[at.INSIDE] > 0 or not numbers[at.DEFICIT] > NEGLIGIBLE * numbers[at.STANDOFF]:
@@ -219,19 +226,24 @@ def note_gains(words, numbers, bounds):  # type: ignore[no-untyped-def]
     least = RECOVERY * (NEGLIGIBLE * numbers[at.STANDOFF] + TIGHTENING)
     for i in range(words[at.COUNT]):
         gains[i] = bounds[i] if bounds[i] > least else 0.0
+        needed[i] = GAINED * gains[i]
         if gains[i] > 0.0:
             words[at.RECOVERS] = 1
+            f = int(planes[i, at.FIXTURE])
+            if searches[f, at.MOVES] > 0 and motions[f, at.GROWTH] > 0.0:
+                needed[i] = max(needed[i], gains[i] - LEFT_BEHIND)
 
 
 @njit(cache=True)
 def recovers(words, planes, places, trials):  # type: ignore[no-untyped-def]
-    """Whether the step tried gains at every plane the share of GAINS that it has to."""
+    """Whether the step tried gains at every plane what is NEEDED."""
     gains = numba.carray(floats_at(words[at.GAINS]), (words[at.ROOM],))
+    needed = numba.carray(floats_at(words[at.NEEDED]), (words[at.ROOM],))
     for i in range(words[at.COUNT]):
         if gains[i] > 0.0:
             p = int(planes[i, at.POINT])
             gained = height(planes[i], trials[p]) - height(planes[i], places[p])
-            if not gained >= GAINED * gains[i]:
+            if not gained >= needed[i]:
                 return False
     return True
 
@@ -251,8 +263,8 @@ def ask_to_recover(words, numbers, table, scratch, multipliers):  # type: ignore
     soft = words[at.STAGE] == at.RECOVERY
     words[at.STAGE] = at.RECOVERY
     words[at.TRIES] = 1 if soft else 0
-    task = np.empty((m if soft else 0, n))
-    asked = np.empty(m if soft else 0)
+    task = numba.carray(floats_at(words[at.SOUGHT]), (words[at.ROOM], n))
+    asked = numba.carray(floats_at(words[at.SOUGHT_GAINS]), (words[at.ROOM],))
     count = 0
     for i in range(m):
         other[i] = min(bounds[i], 0.0) if soft else max(bounds[i], gains[i])
@@ -292,14 +304,16 @@ def halve_recovery(words, numbers, table, jacobians, bulges):  # type: ignore[no
 def take_gains(words, planes, places, trials):  # type: ignore[no-untyped-def]
     """Ask for no more than the step just tried gains, where that is too little; False: nothing."""
     gains = numba.carray(floats_at(words[at.GAINS]), (words[at.ROOM],))
+    needed = numba.carray(floats_at(words[at.NEEDED]), (words[at.ROOM],))
     some = False
     for i in range(words[at.COUNT]):
         if gains[i] > 0.0:
             p = int(planes[i, at.POINT])
             gained = height(planes[i], trials[p]) - height(planes[i], places[p])
             some |= gained > LITTLE * gains[i]
-            if gained < GAINED * gains[i]:
+            if gained < needed[i]:
                 gains[i] = max(gained, 0.0)
+                needed[i] = GAINED * gains[i]
     return some
 
 

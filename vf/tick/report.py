@@ -69,7 +69,7 @@ def write_report(words, numbers, table, goal, tip, planes, x):  # type: ignore[n
                 px, py, pz = into(motions[f], at.TO, px, py, pz)
                 blend = motions[f, at.BLEND_AFTER]
             sides[f, at.SEEN_FORM], sides[f, at.SEEN_BLEND] = form(searches[f], blend)
-            if words[at.YIELDS] > 0 and numbers[at.VIOLATION] > 0.0:
+            if words[at.YIELDS] == at.MISSES and numbers[at.VIOLATION] > 0.0:
                 px = np.nan
             sides[f, at.SEEN], sides[f, at.SEEN + 1], sides[f, at.SEEN + 2] = px, py, pz
     count = words[at.COUNT]

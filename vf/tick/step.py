@@ -47,7 +47,8 @@ class Step:
         timings: where the time went [s].
         violation: with the status OVERTAKEN, how deep the anatomy may be in the tool at most [m]:
             at some place within this distance the tool would be free. Of a body that overlaps the
-            anatomy when the tick begins it is how deep it is at the end of the tick. Else 0.
+            anatomy when the tick begins it is how deep it is at the end of the tick. Of a structure
+            that is known to within `Motion.margin` it is how deep the true one may be. Else 0.
     """
 
     q: FloatArray

@@ -66,11 +66,9 @@ def ask_at_contacts(planes, m, places, guards, rows, bounds):  # type: ignore[no
         if is_start(guards, p):
             for k in range(i, i + count):
                 other = k + count
-                if not (planes[k, at.CARRY] > 0.0 or planes[other, at.CARRY] > 0.0):
-                    continue
                 fixed = not rows[k].any()
                 share = contact_share(planes[k], places[p], places[p + 1])
-                if fixed and share < LEVER:
+                if not at_contact(planes, k, other, rows, share):
                     continue
                 begin = bounds[k] + (planes[k, at.CARRY] if fixed else 0.0)
                 bounds[k] = (1.0 - share) * begin + share * bounds[other]
@@ -80,6 +78,13 @@ def ask_at_contacts(planes, m, places, guards, rows, bounds):  # type: ignore[no
                 bounds[other] -= max(planes[other, at.CARRY], 0.0)
             i += count
         i += count
+
+
+@njit(cache=True)
+def at_contact(planes, k, other, rows, share):  # type: ignore[no-untyped-def]
+    """Whether row k, of the start of an axis, is that of where the plane touches it."""
+    comes = planes[k, at.CARRY] > 0.0 or planes[other, at.CARRY] > 0.0
+    return comes and (share >= LEVER or rows[k].any())
 
 
 @njit(cache=True)
@@ -161,24 +166,44 @@ def _clear(search, motion, places, trials, bulges, guards, body, hair, queue):  
 
 
 @njit(cache=True)
-def overlapped(words, planes, guards):  # type: ignore[no-untyped-def]
-    """Whether a structure is in any part of the tool when the tick begins."""
+def overlapped(words, planes, guards, unsure):  # type: ignore[no-untyped-def]
+    """Whether a structure is in any part of the tool when the tick begins.
+
+    `unsure`: whether it may be, as it is known to within what is added to its margins.
+    """
+    fixtures = words[at.FIXTURES]
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     places = numba.carray(floats_at(words[at.PLACES]), (words[at.POINTS], 3))
     for i in range(words[at.COUNT]):
         plane = planes[i]
-        p = int(plane[at.POINT])
+        p, f = int(plane[at.POINT]), int(plane[at.FIXTURE])
         room = height(plane, places[p]) + plane[at.CARRY] - height(plane, plane[at.FOOT :])
-        if room < guards[p, at.THICKNESS]:
+        added = motions[f, at.ADDED] if unsure and searches[f, at.MOVES] > 0 else 0.0
+        if room < guards[p, at.THICKNESS] + added:
             return True
     return False
 
 
 @njit(cache=True)
-def add_overlaps(words, numbers, ends, guards):  # type: ignore[no-untyped-def]
-    """Raise VIOLATION to how deep any part of the tool is in a mesh where the tick ends.
+def is_unsure(words):  # type: ignore[no-untyped-def]
+    """Whether something is added to the margins of a structure in this tick."""
+    searches = numba.carray(integers_at(words[at.SEARCHES]), (words[at.FIXTURES], at.SEARCH))
+    motions = numba.carray(floats_at(words[at.MOTIONS]), (words[at.FIXTURES], at.MOTION))
+    for f in range(words[at.FIXTURES]):
+        if searches[f, at.MOVES] > 0 and motions[f, at.ADDED] > 0.0:
+            return True
+    return False
+
+
+@njit(cache=True)
+def deepest(words, guards, spots, pose, unsure, missed):  # type: ignore[no-untyped-def]
+    """How deep any part of the tool is in a mesh, or may be if `unsure` [m]; 0: not.
 
     Args:
-        ends: (p, 3) guarded points at the end of the tick [m].
+        spots: (p, 3) guarded points [m].
+        pose: at.FROM or at.TO: where structures are when the tick begins or ends.
+        missed: what the centre or an axis missed its planes by [m].
     """
     bodies = numba.carray(integers_at(words[at.BODY_TABLE]), (words[at.BODIES], at.BODY))
     fixtures = words[at.FIXTURES]
@@ -186,32 +211,41 @@ def add_overlaps(words, numbers, ends, guards):  # type: ignore[no-untyped-def]
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
     queue = numba.carray(floats_at(words[at.QUEUE]), (HEAP, 3))
     axis = np.empty((2, 3))
-    missed = numbers[at.VIOLATION]  # of the centre or axis
+    most = 0.0
     for b in range(-1, words[at.BODIES]):  # -1: the tip
         first, second = 0, 0
         if b >= 0:
             first, second = bodies[b, at.FIRST], bodies[b, at.SECOND]
-            if bodies[b, at.CENTRE] >= 0 and _stays_in_port(ends, ends, bodies[b]):
+            if bodies[b, at.CENTRE] >= 0 and _stays_in_port(spots, spots, bodies[b]):
                 continue
-        thickness = guards[first, at.THICKNESS]
         for f in range(fixtures):
             search = searches[f]
             if search[at.KIND] != at.MESH or (b >= 0 and search[at.TOOL] == 0):
                 continue
-            blend = motions[f, at.BLEND_AFTER] if search[at.MOVES] > 0 else 0.0
+            moves = search[at.MOVES] > 0
+            thickness = guards[first, at.THICKNESS]
+            if unsure:
+                if not (moves and motions[f, at.ADDED] > 0.0):
+                    continue
+                thickness += motions[f, at.ADDED]
+                if pose == at.FROM:
+                    thickness -= motions[f, at.GROWTH]
+            blend = 0.0
+            if moves:
+                blend = motions[f, at.BLEND if pose == at.FROM else at.BLEND_AFTER]
             for k in range(2):
-                x = ends[first] if k == 0 else ends[second]
+                x = spots[first] if k == 0 else spots[second]
                 axis[k] = x
-                if search[at.MOVES] > 0:
-                    axis[k, 0], axis[k, 1], axis[k, 2] = into(motions[f], at.TO, x[0], x[1], x[2])
+                if moves:
+                    axis[k, 0], axis[k, 1], axis[k, 2] = into(motions[f], pose, x[0], x[1], x[2])
             nodes = numba.carray(floats_at(search[at.NODES]), (search[at.NODE_COUNT], 16))
             corners = numba.carray(floats_at(search[at.CORNERS]), (search[at.TRIANGLES], 9))
             slivers = numba.carray(floats_at(search[at.SLIVERS]), (search[at.TRIANGLES],))
             shape = shape_of(search, blend)
             apart = gap(nodes, corners, slivers, shape, axis, thickness, queue)
             # Where the axis meets the mesh, what it missed its planes by comes on top.
-            deep = thickness - apart + (missed if apart == 0.0 else 0.0)
-            numbers[at.VIOLATION] = max(numbers[at.VIOLATION], deep)
+            most = max(most, thickness - apart + (missed if apart == 0.0 else 0.0))
+    return most
 
 
 @njit(cache=True)

@@ -29,10 +29,10 @@ from vf.tick.attempts import (
     shortened,
 )
 from vf.tick.chain import LINK, jacobian, place_points, point_jacobian, tip_pose
-from vf.tick.moving import set_carries
+from vf.tick.moving import set_carries, shortfall
 from vf.tick.report import write_report
 from vf.tick.search import search_bodies, search_planes, set_radius, sides_known
-from vf.tick.sweep import add_overlaps, ask_at_contacts, overlapped
+from vf.tick.sweep import ask_at_contacts, deepest, is_unsure, overlapped
 from vf.tick.yielding import (
     begin_to_yield,
     bound_speed,
@@ -163,10 +163,10 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             bounds,
         )
         if moving:
-            lead_out(words, planes, m, places, guards, rows, bounds, table)
             ask_at_contacts(planes, m, places, guards, rows, bounds)
+            lead_out(words, planes, m, places, guards, rows, bounds, table)
             bound_speed(planes, m, bounds, table)
-        note_gains(words, numbers, bounds)
+        note_gains(words, numbers, planes, bounds)
         words[at.STAGE] = at.WHOLE
         if ask(words, numbers, table, bounds, scratch, multipliers):
             return -at.SOLVED
@@ -314,13 +314,35 @@ def _end(words, numbers, table, goal, tip, planes, ends, guards):  # type: ignor
     """Write the report of a step to `ends` (p, 3). Returns the number of planes.
 
     A tool that a structure is in has been overtaken until it is out of it again, although its
-    centre and its axes obey their planes.
+    centre and its axes obey their planes. So has one that a structure may be in, for it is known
+    only to within what is added to its margins.
     """
-    if words[at.MOVING] > 0 and overlapped(words, planes, guards):
-        add_overlaps(words, numbers, ends, guards)
-        if numbers[at.VIOLATION] > 0.0:
-            words[at.YIELDS] = 1
+    if words[at.MOVING] > 0:
+        deep = numbers[at.VIOLATION]
+        if overlapped(words, planes, guards, False):
+            deep = max(deep, deepest(words, guards, ends, at.TO, False, deep))
+            if deep > 0.0:
+                words[at.YIELDS] = at.MISSES
+        if is_unsure(words) and _may_be_met(words, planes, guards, ends):
+            places = numba.carray(floats_at(words[at.PLACES]), (words[at.POINTS], 3))
+            before = deepest(words, guards, places, at.FROM, True, 0.0)
+            after = deepest(words, guards, ends, at.TO, True, deep)
+            if max(before, after) > 0.0 and deep == 0.0:
+                words[at.YIELDS] = at.AT_RISK
+            deep = max(deep, max(before, after))
+        numbers[at.VIOLATION] = deep
     return write_report(words, numbers, table, goal, tip, planes, ends[0])
+
+
+@njit(cache=True)
+def _may_be_met(words, planes, guards, ends):  # type: ignore[no-untyped-def]
+    """Whether planes leave it open that the tool keeps what is added to margins in the tick."""
+    if overlapped(words, planes, guards, True):
+        return True
+    places = numba.carray(floats_at(words[at.PLACES]), (words[at.POINTS], 3))
+    bulges = numba.carray(floats_at(words[at.BULGES]), (words[at.POINTS],))
+    tip, others = shortfall(words, planes, words[at.COUNT], places, ends, bulges, guards)
+    return max(tip, others) > 0.0
 
 
 @njit(cache=True)

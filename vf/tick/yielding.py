@@ -11,9 +11,22 @@ from vf.qp.problem import EXIT, LED_OUT, TIGHTENING, height, sagitta
 from vf.qp.solver import Solver
 from vf.tick.attempts import ask, shortened
 from vf.tick.moving import shortfall, violation
-from vf.tick.sweep import bodies_clear, contact_share, is_start, run_of
+from vf.tick.sweep import (
+    LEVER,
+    at_contact,
+    bodies_clear,
+    contact_share,
+    deepest,
+    is_start,
+    is_unsure,
+    run_of,
+)
 
 HALVINGS = 10  # of the length that rows are relaxed by
+# Share of what a row can do by itself that it is asked for at most.
+WITHIN_REACH = 0.9
+# A plane may touch an axis along a part of it: the nearest to the start is this share of the way.
+ALONG = 0.9
 INFEASIBLE = int(Solver.INFEASIBLE)
 
 
@@ -34,24 +47,93 @@ def bound_speed(planes, m, bounds, table):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def lead_out(words, planes, m, places, guards, rows, bounds, table):  # type: ignore[no-untyped-def]
-    """Ask for the growth of margins in this tick, beside what recovers of them slowly."""
+    """Ask for the growth of margins in this tick, and of what is missing to them for as much again.
+
+    An axis is led out where a plane touches it: what one of its ends cannot do, such as the remote
+    centre, is asked of the other. No row is asked for more than it can do by itself. `rows` and
+    `bounds` are those of `ask_at_contacts`.
+    """
     fixtures = words[at.FIXTURES]
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
-    for i in range(m):
-        plane = planes[i]
-        f, p = int(plane[at.FIXTURE]), int(plane[at.POINT])
-        growth = motions[f, at.GROWTH] if searches[f, at.MOVES] > 0 else 0.0
-        if growth == 0.0 or plane[at.RULE] == EXIT or not rows[i].any():
-            continue
-        keep = plane[at.KEEP] + guards[p, at.THICKNESS]
-        gap = height(plane, places[p]) + plane[at.CARRY] - height(plane, plane[at.FOOT :])
-        missing = min(keep - gap, growth + LED_OUT) + TIGHTENING
-        if missing > 0.0 and bounds[i] < missing + plane[at.CARRY]:
-            bounds[i] = missing + plane[at.CARRY]
-            for j in range(table.shape[1]):
-                table[at.LOWER, j] = max(table[at.LOWER, j], -table[at.SPEED, j])
-                table[at.UPPER, j] = min(table[at.UPPER, j], table[at.SPEED, j])
+    led = False
+    i = 0
+    while i < m:
+        p = int(planes[i, at.POINT])
+        count = run_of(planes, m, i)
+        axis = is_start(guards, p)
+        for k in range(i, i + count):
+            f = int(planes[k, at.FIXTURE])
+            growth = motions[f, at.GROWTH] if searches[f, at.MOVES] > 0 else 0.0
+            if growth == 0.0 or planes[k, at.RULE] == EXIT:
+                continue
+            keep = planes[k, at.KEEP] + guards[p, at.THICKNESS]
+            most = 2.0 * growth + LED_OUT
+            if axis:
+                led |= _lead_axis(planes, k, k + count, places, rows, bounds, table, keep, most)
+            else:
+                asked = _missing(planes[k], places[p], keep, most)
+                led |= _ask_of(planes[k], rows[k], bounds, k, asked, table)
+        i += 2 * count if axis else count
+    if led:
+        for j in range(table.shape[1]):
+            table[at.LOWER, j] = max(table[at.LOWER, j], -table[at.SPEED, j])
+            table[at.UPPER, j] = min(table[at.UPPER, j], table[at.SPEED, j])
+
+
+@njit(cache=True)
+def _missing(plane, x, keep, most):  # type: ignore[no-untyped-def]
+    """How far x (3,) has to go along a plane's normal in the tick, to have what it has to keep."""
+    gap = height(plane, x) + plane[at.CARRY] - height(plane, plane[at.FOOT :])
+    return min(keep - gap, most) + TIGHTENING + plane[at.CARRY]
+
+
+@njit(cache=True)
+def _ask_of(plane, row, bounds, k, asked, table):  # type: ignore[no-untyped-def]
+    """Ask a row for a motion, as far as it can do that; whether it asks for more than it did."""
+    asked = min(asked, WITHIN_REACH * _most(row, table))
+    if asked <= plane[at.CARRY] or asked <= bounds[k]:
+        return False
+    bounds[k] = asked
+    return True
+
+
+@njit(cache=True)
+def _most(row, table):  # type: ignore[no-untyped-def]
+    """The largest value of a row n·J Δq in a tick [m]."""
+    most = 0.0
+    for j in range(row.shape[0]):
+        if row[j] > 0.0:
+            most += row[j] * min(table[at.UPPER, j], table[at.SPEED, j])
+        else:
+            most += row[j] * max(table[at.LOWER, j], -table[at.SPEED, j])
+    return most
+
+
+@njit(cache=True)
+def _lead_axis(planes, k, other, places, rows, bounds, table, keep, most):  # type: ignore[no-untyped-def]
+    """`lead_out` for rows k and other, of the start and the end of an axis."""
+    p, q = int(planes[k, at.POINT]), int(planes[other, at.POINT])
+    share = contact_share(planes[k], places[p], places[q])
+    first = _missing(planes[k], places[p], keep, most)
+    last = _missing(planes[other], places[q], keep, most)
+    gap = 0.0
+    carry = (1.0 - share) * planes[k, at.CARRY] + share * planes[other, at.CARRY]
+    for c in range(3):
+        x = places[p, c] + share * (places[q, c] - places[p, c])
+        gap += planes[k, at.NORMAL + c] * (x - planes[k, at.FOOT + c])
+    asked = min(keep - gap - carry, most) + TIGHTENING + carry
+    if at_contact(planes, k, other, rows, share):
+        return _ask_of(planes[k], rows[k], bounds, k, asked, table)
+    first = min(first, WITHIN_REACH * _most(rows[k], table))
+    last = min(last, WITHIN_REACH * _most(rows[other], table))
+    nearest = ALONG * share
+    lacking = asked - (1.0 - nearest) * max(first, planes[k, at.CARRY])
+    lacking -= nearest * max(last, planes[other, at.CARRY])
+    if lacking > 0.0 and share > LEVER:
+        last = max(last, planes[other, at.CARRY]) + lacking / nearest
+    led = _ask_of(planes[k], rows[k], bounds, k, first, table) if rows[k].any() else False
+    return _ask_of(planes[other], rows[other], bounds, other, last, table) or led
 
 
 @njit(cache=True)
@@ -117,11 +199,24 @@ def obeys_all(words, numbers, planes, places, trials, bulges, guards):  # type: 
     m = words[at.COUNT]
     tip, others = shortfall(words, planes, m, places, trials, bulges, guards)
     allowed = tip <= 0.0 and (
-        others <= 0.0 or bodies_clear(words, numbers, places, trials, bulges, guards)
+        others <= 0.0
+        or (
+            bodies_clear(words, numbers, places, trials, bulges, guards)
+            and _keeps_away(words, guards, places, trials)
+        )
     )
     if others > 0.0:
         tip = max(tip, _at_contacts(planes, m, places, trials, guards))
     return allowed, tip
+
+
+@njit(cache=True)
+def _keeps_away(words, guards, places, trials):  # type: ignore[no-untyped-def]
+    """Whether the tool ends no farther in what is added to margins than if it stood still."""
+    if not is_unsure(words):
+        return True
+    deep = deepest(words, guards, trials, at.TO, True, 0.0)
+    return deep == 0.0 or deep <= deepest(words, guards, places, at.TO, True, 0.0)
 
 
 @njit(cache=True)
@@ -157,7 +252,7 @@ def choose_least(words, numbers, table, start, tip, planes, places, guards, bulg
 
     From inside of a structure only a step that is known to lead out is taken, none that was kept.
     """
-    words[at.YIELDS] = 1
+    words[at.YIELDS] = at.MISSES
     bulges[:] = 0.0
     still = obeys_all(words, numbers, planes, places, places, bulges, guards)[1]
     if numbers[at.LEAST] < still and words[at.INSIDE] == 0:

@@ -21,14 +21,14 @@ from meshes.builtin.shapes import Arrays
 from robots import point
 
 T = TypeVar("T")
+D = TypeVar("D", bound=Pushed)
+More = Sequence[tuple[str, Callable[[D], int]]]
 
 NEEDLE = (0.01, 0.0, 0.04)  # of the second point arm of `all_arms` [m]
 PART = 10_000  # ticks or queries per call of the campaign
 EDGES = (0.3, 1.0, 3.0, None)  # radii of the queries in median edges; None: a tick of the arm
-COLUMNS = (
-    "ticks", "starts", "crossed", "by which part", "held", "shortened", "recovering", "inside",
-    "planes", "tick µs",
-)  # fmt: skip
+COUNTED = ("ticks", "starts", "crossed", "by which part")
+MEASURED = ("held", "shortened", "recovering", "inside", "planes", "tick µs")
 
 
 @dataclass(frozen=True)
@@ -161,16 +161,9 @@ def show(found: Findings, console: Console, title: str) -> None:
     """Print the drives by arm, rate and damage, and the queries by radius."""
     if found.drives:
         arms = dict.fromkeys(arm for arm, _case, _drive in found.drives)
-        _show_drives(
-            console, "arm", [(arm, [d for a, _, d in found.drives if a == arm]) for arm in arms],
-            title,
-        )  # fmt: skip
-        drives = [drive for _arm, _case, drive in found.drives]
-        rates = sorted({drive.period for drive in drives}, reverse=True)
-        _show_drives(
-            console, "rate",
-            [(f"{1.0 / rate:,.0f} Hz", [d for d in drives if d.period == rate]) for rate in rates],
-        )  # fmt: skip
+        by_arm = [(arm, [d for a, _, d in found.drives if a == arm]) for arm in arms]
+        show_groups(console, "arm", by_arm, title)
+        show_rates(console, [drive for _arm, _case, drive in found.drives])
     if found.covers:
         rows = []
         for edges in EDGES:
@@ -198,9 +191,19 @@ def complaints(found: Findings) -> list[str]:
     return lines + [f"{case}: {cover.first}" for _, case, cover in found.covers if cover.first]
 
 
-def _show_drives(
-    console: Console, what: str, groups: Iterable[tuple[str, list[Pushed]]], title: str = ""
+def show_groups(
+    console: Console,
+    kind: str,
+    groups: Iterable[tuple[str, Sequence[D]]],
+    title: str = "",
+    more: More[D] = (),
 ) -> None:
+    """Print a row for each group of drives.
+
+    Args:
+        kind: what the groups are of, the heading of their names.
+        more: headings and numbers of columns beside those that all campaigns have.
+    """
     rows = []
     for name, drives in groups:
         ticks = sum(d.ticks for d in drives)
@@ -213,6 +216,7 @@ def _show_drives(
                 f"{sum(d.episodes for d in drives):,}",
                 f"{sum(d.crossings for d in drives):,}",
                 ", ".join(f"{part} {times:,}" for part, times in crossed.most_common()),
+                *(f"{sum(map(number, drives)):,}" for _heading, number in more),
                 f"{statuses[vf.Status.HELD]:,}",
                 f"{statuses[vf.Status.SHORTENED]:,}",
                 f"{statuses[vf.Status.RECOVERING]:,}",
@@ -221,5 +225,12 @@ def _show_drives(
                 f"{1e6 * float(np.median([t for d in drives for t in d.times])):.0f}",
             )
         )
-    columns = [Column(what, left=True), *map(Column, COLUMNS)]
-    show_table(console, columns, rows, title=title or None)
+    names = (*COUNTED, *(heading for heading, _number in more), *MEASURED)
+    show_table(console, [Column(kind, left=True), *map(Column, names)], rows, title=title or None)
+
+
+def show_rates(console: Console, drives: Sequence[D], more: More[D] = ()) -> None:
+    """`show_groups` by the rate of the control loop."""
+    rates = sorted({drive.period for drive in drives}, reverse=True)
+    groups = [(f"{1.0 / rate:,.0f} Hz", [d for d in drives if d.period == rate]) for rate in rates]
+    show_groups(console, "rate", groups, more=more)

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 
-import numpy as np
 from rich.console import Console
 
 import robots
 import vf
-from app.console import Column, show_table
 from app.motion.declared import Tracker
 from app.studies.verification import moving
-from app.studies.verification.guarded import parts
+from app.studies.verification.guarded import More, parts, show_groups, show_rates
 from app.studies.verification.moving import Passed
 from meshes.builtin.damage import damage
 from meshes.builtin.shapes import Arrays
 
 PERIODS = (1e-3, 5e-3, 0.02)  # of the control loop, in turn [s]
-COLUMNS = (
-    "ticks", "starts", "crossed", "by which part", "led out too late", "overtaken", "met then",
-    "too deep", "held", "shortened", "recovering", "inside", "planes", "tick µs",
-)  # fmt: skip
+MORE: More[Passed] = (
+    ("led out too late", lambda drive: drive.late),
+    ("overtaken", lambda drive: drive.statuses[vf.Status.OVERTAKEN]),
+    ("met then", lambda drive: drive.met),
+    ("too deep", lambda drive: drive.too_deep),
+)
 
 
 @dataclass(frozen=True)
@@ -86,55 +88,106 @@ class Findings:
         return sum(one[-1].too_deep for one in self.drives)
 
 
+@dataclass(frozen=True)
+class _Part:
+    """A drive of a campaign; the seed makes it repeat, wherever it is computed."""
+
+    arm: str
+    mesh: str
+    damage: str
+    motion: str
+    radius: float | None
+    period: float
+    steps: int
+    seed: int
+    noise: float
+
+
 def run(
     campaign: Campaign,
     found: Findings,
     begin: Callable[[str], None],
     progress: Callable[[int], None],
+    workers: int = 0,
 ) -> None:
     """Do everything; what is done so far is in `found` whenever this is interrupted.
 
     Args:
         begin: called with the name of each mesh and damage.
         progress: called with the number of ticks just done.
+        workers: processes; 0: in this one. What is found is the same for any number.
     """
+    todo = list(_parts(campaign))
+    if workers == 0:
+        for part in todo:
+            begin(f"{part.mesh}, {part.damage}")
+            _keep(found, part, _drive(campaign, part, progress))
+        return
+    context = get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _end_at_interrupt, (campaign,)) as pool:
+        try:
+            waiting = [(part, pool.submit(_drive_of_worker, part)) for part in todo]
+            for part, future in waiting:
+                begin(f"{part.mesh}, {part.damage}")
+                _keep(found, part, future.result())
+                progress(part.steps)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _parts(campaign: Campaign) -> Iterator[_Part]:
     cases = [(name, kind) for name in campaign.meshes for kind in campaign.damages]
     for number, (name, kind) in enumerate(cases):
-        case = f"{name}, {kind}"
-        begin(case)
-        mesh = damage(kind, campaign.meshes[name], campaign.seed)
-        for arm_name, share in campaign.shares():
+        for arm, share in campaign.shares():
             for m, motion in enumerate(campaign.motions):
                 for k, radius, part, steps in parts(campaign.radii, share):
-                    turn = number + k + part + m
-                    drive = moving.drive(
-                        campaign.arms[arm_name][0], mesh, motion=motion, guard=campaign.guard,
-                        rule=campaign.rule, radius=radius, period=PERIODS[turn % len(PERIODS)],
-                        steps=steps,
-                        seed=campaign.seed + 1000 * number + 10 * m + k + 10**6 * part,
-                        noise=campaign.noise if (number + k) % 2 else 0.0,
-                        tracker=campaign.tracker, progress=progress,
+                    yield _Part(
+                        arm, name, kind, motion, radius,
+                        PERIODS[(number + k + part + m) % len(PERIODS)], steps,
+                        campaign.seed + 1000 * number + 10 * m + k + 10**6 * part,
+                        campaign.noise if (number + k) % 2 else 0.0,
                     )  # fmt: skip
-                    found.drives.append((arm_name, motion, case, drive))
+
+
+def _keep(found: Findings, part: _Part, drive: Passed) -> None:
+    found.drives.append((part.arm, part.motion, f"{part.mesh}, {part.damage}", drive))
+
+
+def _drive(campaign: Campaign, part: _Part, progress: Callable[[int], None]) -> Passed:
+    mesh = damage(part.damage, campaign.meshes[part.mesh], campaign.seed)
+    return moving.drive(
+        campaign.arms[part.arm][0], mesh, motion=part.motion, guard=campaign.guard,
+        rule=campaign.rule, radius=part.radius, period=part.period, steps=part.steps,
+        seed=part.seed, noise=part.noise, tracker=campaign.tracker, progress=progress,
+    )  # fmt: skip
+
+
+_campaign: Campaign | None = None  # of a worker
+
+
+def _end_at_interrupt(campaign: Campaign) -> None:
+    """What a worker begins with: Ctrl-C goes to it too, and ends it without a word."""
+    global _campaign
+    _campaign = campaign
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _drive_of_worker(part: _Part) -> Passed:
+    assert _campaign is not None
+    return _drive(_campaign, part, lambda _ticks: None)
 
 
 def show(found: Findings, console: Console, title: str) -> None:
-    """Print the drives by arm, motion, rate and damage."""
+    """Print the drives by arm, motion, and rate."""
     arms = dict.fromkeys(one[0] for one in found.drives)
-    _show(
-        console, "arm", [(arm, [one[-1] for one in found.drives if one[0] == arm]) for arm in arms],
-        title,
-    )  # fmt: skip
+    by_arm = [(arm, [one[-1] for one in found.drives if one[0] == arm]) for arm in arms]
+    show_groups(console, "arm", by_arm, title, MORE)
     motions = dict.fromkeys(one[1] for one in found.drives)
     if len(motions) > 1:
         groups = [(kind, [one[-1] for one in found.drives if one[1] == kind]) for kind in motions]
-        _show(console, "motion", groups)
-    drives = [one[-1] for one in found.drives]
-    rates = sorted({drive.period for drive in drives}, reverse=True)
-    _show(
-        console, "rate",
-        [(f"{1.0 / rate:,.0f} Hz", [d for d in drives if d.period == rate]) for rate in rates],
-    )  # fmt: skip
+        show_groups(console, "motion", groups, more=MORE)
+    show_rates(console, [one[-1] for one in found.drives], MORE)
 
 
 def complaints(found: Findings) -> list[str]:
@@ -145,34 +198,3 @@ def complaints(found: Findings) -> list[str]:
         lines += [begun + drive.first] * bool(drive.first)
         lines += [f"{begun}too deep: {drive.first_deep}"] * bool(drive.first_deep)
     return lines
-
-
-def _show(
-    console: Console, what: str, groups: Iterable[tuple[str, list[Passed]]], title: str = ""
-) -> None:
-    rows = []
-    for name, drives in groups:
-        ticks = sum(d.ticks for d in drives)
-        statuses = sum((d.statuses for d in drives), Counter[vf.Status]())
-        crossed = sum((d.parts for d in drives), Counter[str]())
-        rows.append(
-            (
-                name,
-                f"{ticks:,}",
-                f"{sum(d.episodes for d in drives):,}",
-                f"{sum(d.crossings for d in drives):,}",
-                ", ".join(f"{part} {times:,}" for part, times in crossed.most_common()),
-                f"{sum(d.late for d in drives):,}",
-                f"{statuses[vf.Status.OVERTAKEN]:,}",
-                f"{sum(d.met for d in drives):,}",
-                f"{sum(d.too_deep for d in drives):,}",
-                f"{statuses[vf.Status.HELD]:,}",
-                f"{statuses[vf.Status.SHORTENED]:,}",
-                f"{statuses[vf.Status.RECOVERING]:,}",
-                f"{statuses[vf.Status.INSIDE]:,}",
-                f"{sum(d.planes for d in drives) / max(ticks, 1):.1f}",
-                f"{1e6 * float(np.median([t for d in drives for t in d.times])):.0f}",
-            )
-        )
-    columns = [Column(what, left=True), *map(Column, COLUMNS)]
-    show_table(console, columns, rows, title=title or None)

@@ -26,6 +26,7 @@ FloatArray = NDArray[np.float64]
 
 MOTIONS = ("rigid", "deforming", "both")
 DEPTH_TOLERANCE = 1e-9  # for rounding [m]
+SHARE = 0.5  # of a tracker's bound that is left to the deformation, beside a rigid motion
 KEPT = 1e-6  # by which a margin may be missed and counts as kept [m]
 
 
@@ -97,7 +98,11 @@ def drive(
         result.episodes += 1
         if motion != "rigid":
             faces = scene.mesh.faces
-            scene.swelling = swelling.Swelling((scene.mesh.vertices, faces), period, rng)
+            fastest = swelling.FASTEST
+            if tracker is not None:
+                fastest = min(fastest, SHARE * tracker.bound)
+            scene.swelling = swelling.Swelling((scene.mesh.vertices, faces), period, rng, fastest)
+            scene.truth.form = scene.swelling
             scene.deform(0, np.zeros(3))
         fixture = vf.MeshFixture(scene.surface, rule, radius)
         controller = vf.Controller(arm, [fixture], settings)
@@ -126,24 +131,31 @@ def _episode(
 ) -> None:
     """Up to `length` ticks from joints q (n,), until something is met."""
     period, truth = result.period, scene.truth
-    seen = _Seen(own, truth)
-    hand = _hand(rng, _Present(scene), seen, q, guard)
+    hand = _hand(rng, _Present(scene), _Seen(own, truth), q, guard)
     aim = wander.Aim(np.zeros(3), np.zeros(3), 0.0, 0)
     moves = wander.twists(rng, aim, period)
     movement = Movement([truth], tracker) if tracker is not None else None  # type: ignore[list-item]
+    bound = tracker.bound if tracker is not None else np.inf
+    around = scene.radius
+    if scene.swelling is not None:
+        bound *= 1.0 - SHARE
+        around += swelling.FIELDS * swelling.FARTHEST
+    believed = scene.surface  # of a guard with a tracker
+    seen: int | None = None  # number of the sighting that it has the shape of
     holds = 0
     for k in range(length):
         if k % 20 == 0:
             _aim(aim, judge, scene, q, rng)
         if scene.swelling is not None and scene.ticks == scene.swelling.ticks:
             scene.deform(aim.face, truth.now.rotation.T @ aim.towards)
-            controller.replace(0, scene.surface)
+            if movement is None:
+                controller.replace(0, scene.surface)
         blend = scene.blend
         scene.ticks += 1
         before = truth.now
         twist = wander.body_twist(before, aim.place, *next(moves)) if rigid else np.zeros(6)
         if tracker is not None:
-            twist = wander.slowed(twist, scene.radius, 0.999 * tracker.bound)
+            twist = wander.slowed(twist, around, 0.999 * bound)
         since = truth.time
         after = truth.go(twist, period)
         goal = before * hand.send(q)
@@ -157,6 +169,12 @@ def _episode(
             told = movement.during(since, truth.time)
             motion, stale = told.motions[0], told.stale
             assert motion is not None
+            (number,) = told.shapes
+            if tracker is not None and number is not None and number != seen:
+                seen = number
+                assert scene.swelling is not None
+                believed = believed.deforming(scene.swelling.at(max(seen, 0) / tracker.rate))
+                controller.replace(0, believed)
             result.margins.append(motion.margin)
             result.stale += stale
         if holds or stale:
@@ -175,7 +193,8 @@ def _episode(
                 f"tick {result.ticks}, {step.status.name}: {', '.join(names)} from {q.tolist()} "
                 f"to {moved.tolist()}"
             )
-            kept = movement is None or motion is None or _kept(judge, scene, motion, q, moved)
+            kept = motion is None or movement is None
+            kept = kept or _kept(judge, believed, scene, motion, q, moved)
             if step.status is not vf.Status.OVERTAKEN:
                 result.crossings += kept
                 result.late += not kept
@@ -235,20 +254,28 @@ class _Present:
 
 
 def _kept(
-    judge: passing.Judge, scene: Scene, motion: vf.Motion, q: FloatArray, moved: FloatArray
+    judge: passing.Judge,
+    believed: Any,
+    scene: Scene,
+    motion: vf.Motion,
+    q: FloatArray,
+    moved: FloatArray,
 ) -> bool:
     """Whether every part had its margin from where the mesh is believed, before and after a tick.
 
     If it had, and the bound is true, nothing can be met. It has not where the arm cannot get away
     as fast as the margin grows: a shaft at the remote centre, joints at their limits.
     """
+    shape = scene.mesh.boxes
+    if scene.swelling is not None:
+        shape = boxes.build(believed.vertices_after, scene.mesh.faces)
     for pose, joints, margin in (
         (motion.start, q, motion.margin - motion.growth), (motion.end, moved, motion.margin),
     ):  # fmt: skip
         axes = (judge.axes(joints) - pose.translation) @ pose.rotation
         for k in judge.chosen:
             reach = float(judge.radii[k]) + margin - KEPT
-            if nearest(scene.mesh.boxes, axes[k], reach)[0] < reach:
+            if nearest(shape, axes[k], reach)[0] < reach:
                 return False
     return True
 

@@ -21,14 +21,19 @@ class Swelling:
     Args:
         mesh: at rest, with which it begins.
         period: of the control loop [s].
+        fastest: no vertex is faster [m/s].
 
     Attributes:
         ticks: of a frame.
         vertices: (n, 3) of the shape that the mesh is on its way to [m].
     """
 
-    def __init__(self, mesh: Arrays, period: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self, mesh: Arrays, period: float, rng: np.random.Generator, fastest: float = FASTEST
+    ) -> None:
         self._rest, self._faces = mesh
+        self._fastest = fastest
+        self._known = [self._rest]
         self._rng = rng
         self.ticks = max(1, round(FRAME / period))
         self._duration = self.ticks * period
@@ -52,7 +57,7 @@ class Swelling:
         if self._left == 0:
             self._left = int(rng.integers(1, 12))
             shares = rng.dirichlet(np.ones(FIELDS))
-            speed = FASTEST * rng.random() ** rng.choice([1.0, 3.0]) * (rng.random() < 0.9)
+            speed = self._fastest * rng.random() ** rng.choice([1.0, 3.0]) * (rng.random() < 0.9)
             there = self._fields[:, self._faces[face, 0]] @ towards
             signs = np.where(there > 0.0, 1.0, -1.0) * (1.0 if rng.random() < 0.7 else -1.0)
             self._rates = 0.999 * speed * shares * signs
@@ -61,4 +66,12 @@ class Swelling:
             self._amplitudes + self._rates * self._duration, -FARTHEST, FARTHEST
         )
         self.vertices = self._rest + np.tensordot(self._amplitudes, self._fields, axes=1)
+        self._known.append(self.vertices)
         return self.vertices
+
+    def at(self, time: float) -> FloatArray:
+        """Vertices (n, 3) at a time from 0 to that of the newest shape [s]."""
+        k = min(int(time / self._duration), len(self._known) - 2)
+        share = time / self._duration - k
+        first, last = self._known[k : k + 2]
+        return first + min(share, 1.0) * (last - first)

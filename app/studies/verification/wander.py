@@ -10,6 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from app.studies.verification.swelling import Swelling
+
 FloatArray = NDArray[np.float64]
 
 FASTEST = 0.2  # of a structure at the tool [m/s]
@@ -83,11 +85,11 @@ class Truth:
     Attributes:
         time: of the last knot [s].
         now: T_base_structure then.
+        form: how it deforms; None: it keeps its shape.
     """
 
-    form = None  # of a `Course`: it keeps its shape
-
     def __init__(self, pose: pin.SE3) -> None:
+        self.form: Swelling | None = None
         self.time, self.now = 0.0, pose
         self._times, self._poses = [0.0], [pose]
         self._twists: list[FloatArray] = []

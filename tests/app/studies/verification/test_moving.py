@@ -14,7 +14,7 @@ import vf
 from app.commands import call
 from app.motion.declared import Tracker
 from app.motion.movement import Movement
-from app.studies.verification import moving, swelling, wander
+from app.studies.verification import moved, moving, swelling, wander
 from app.studies.verification.moving import Passed
 from meshes.builtin.damage import damage
 
@@ -170,7 +170,58 @@ def test_a_margin_that_does_not_grow_with_the_age_is_seen(
 
     monkeypatch.setattr(Movement, "during", without)
     result = driven("point", guard=None, tracker=LATE, period=5e-3, steps=800, seed=4)
-    assert (result.crossings if part == "margin" else result.late) > 0
+    assert (result.crossings if part == "margin" else result.met) > 0
+
+
+@pytest.mark.parametrize(
+    ("mesh", "radius", "noise", "seed"),
+    [("torus", None, 5e-3, 5000), ("cone", 5e-3, 5e-3, 4001), ("gyroid", 5e-3, 0.0, 13001)],
+)
+def test_the_whole_instrument_is_led_out_at_low_rates_before_a_late_tracker_tells(
+    mesh: str, radius: float | None, noise: float, seed: int
+) -> None:
+    """Drives in which a shaft was led out where it could not go, or after the bend of its step."""
+    result = driven(
+        mesh=mesh, radius=radius, noise=noise, seed=seed, tracker=LATE, period=0.02, steps=200
+    )
+    assert result.crossings == result.late == result.met == 0, result.first
+    assert result.near > 50  # or nothing was tried
+
+
+@pytest.mark.parametrize("motion", ["deforming", "both"])
+def test_a_late_tracker_of_what_deforms_keeps_the_tool_off_its_true_shape(motion: str) -> None:
+    result = driven("point", motion=motion, guard=None, tracker=LATE, period=5e-3, steps=500)
+    assert result.crossings == result.late == result.met == 0, result.first
+    assert result.near > 100
+
+
+def test_a_guard_that_is_not_told_of_new_shapes_is_seen_to_be_crossed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    at = swelling.Swelling.at
+    monkeypatch.setattr(swelling.Swelling, "at", lambda self, _time: at(self, 0.0))
+    result = driven(
+        "point", motion="deforming", guard=None, tracker=LATE, period=5e-3, steps=800
+    )  # fmt: skip
+    assert result.crossings > 0
+
+
+@pytest.mark.slow
+def test_two_workers_find_what_one_process_finds() -> None:
+    sources = {name: meshes.arrays(name) for name in ("torus", "stairs")}
+    campaign = moved.Campaign(
+        {"point": (robots.load("point"), 240)}, sources, ("none",), (5e-3,), ("rigid", "both"),
+        None, "certified", 5e-3, None, 0,
+    )  # fmt: skip
+    one, two = moved.Findings(), moved.Findings()
+    done: list[int] = []
+    moved.run(campaign, one, lambda _case: None, lambda _ticks: None)
+    moved.run(campaign, two, lambda _case: None, done.append, workers=2)
+    assert sum(done) == campaign.work
+    assert len(one.drives) == len(two.drives) == 4
+    for (*here, a), (*there, b) in zip(one.drives, two.drives, strict=True):
+        assert here == there
+        assert replace(a, times=[]) == replace(b, times=[])
 
 
 def test_what_moves_keeps_to_its_speeds_and_comes_back() -> None:
@@ -221,7 +272,9 @@ def test_the_command_moves_the_mesh(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("verify", [*words, "--motion", "rigid", *late]) == 0
     assert "tracked at 30 Hz" in " ".join(capsys.readouterr().out.split())
     assert call("verify", [*words, *late]) == 2
-    assert "motion rigid" in capsys.readouterr().err
+    assert "a tracker is of --motion" in capsys.readouterr().err
+    assert call("verify", [*words, "--workers", "2"]) == 2
+    assert "workers are of --motion" in capsys.readouterr().err
     assert call("verify", [*words, "--motion", "rigid", "--outside"]) == 2
     assert call("verify", [*words, "--motion", "sideways"]) == 2
 
