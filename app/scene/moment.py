@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 import vf
 from app.control.messages import Telemetry
 from app.control.watch import Crossing
+from app.devices.report import LinkReport
 from app.motion.movement import Movement
 from app.motion.tracking import Belief
 from app.scene.scene import Scene
@@ -108,6 +109,7 @@ class Moment:
         crossing: where the tip crossed the mesh of this scene; None: nowhere, or unknown.
         places: where the structures are.
         contacts: in how many ticks the tip met the anatomy since the last reset; None: unknown.
+        stream: how shapes that come from elsewhere came last; None: none are to come.
     """
 
     scene: Scene
@@ -119,6 +121,7 @@ class Moment:
     crossing: Crossing | None = None
     places: Places = REST
     contacts: int | None = None
+    stream: LinkReport | None = None
 
     @property
     def tip(self) -> pin.SE3:

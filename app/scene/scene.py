@@ -141,7 +141,9 @@ def build(
 
     surfaces = (surface, *(one.surface for one in built))
     names_of = [str(own.name) for own in options.anatomy]
-    moved = courses(options.motions, names_of, surfaces, options.dt)
+    moved = courses(
+        options.motions, names_of, surfaces, options.dt, options.tracker, T_base_mesh
+    )  # fmt: skip
     notes += too_fast(options.tracker, moved, surfaces)
 
     added = registered(options, T_base_mesh)

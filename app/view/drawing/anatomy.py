@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 import vf
 from app.judges.meeting import sees
+from app.motion.stream import StreamForm
 from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.structure import Structure
@@ -225,7 +226,8 @@ class Anatomy(Part):
         shapes = [(scene.vertices_shown, scene.faces_shown)]
         shapes += [(one.vertices_shown, one.faces_shown) for one in scene.structures]
         for k, (drawn, (vertices, faces)) in enumerate(zip(self._drawn, shapes, strict=True)):
-            if scene.courses[k] is None:
+            course = scene.courses[k]
+            if course is None or isinstance(course.form, StreamForm):
                 continue
             middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
             drawn.ghost = self._api.add_mesh_simple(
