@@ -88,6 +88,8 @@ class Anatomy(Part):
         self._ghosts = True  # likewise
         self._turn = 0
         self._heat = Heat(api)
+        self.chosen = 0
+        """Number of the structure that is chosen on the page; 0 is the mesh."""
 
     @property
     def margins(self) -> Scale | None:
@@ -107,6 +109,8 @@ class Anatomy(Part):
         looks = enumerate(zip(scene.options.anatomy, scene.surfaces, strict=True))
         same = self._scene is not None and _sources(self._scene) == _sources(scene)
         switches = [drawn.visible for drawn in self._drawn]
+        if self.chosen >= len(scene.surfaces):
+            self.chosen = 0
         self._scene = scene
         self._heat.set_scene(scene)
         self._drawn = [
@@ -117,32 +121,39 @@ class Anatomy(Part):
             for drawn, visible in zip(self._drawn, switches, strict=True):
                 drawn.visible = visible
         self.cut(None)
-        for k, (drawn, built) in enumerate(zip(self._drawn[1:], scene.structures, strict=True), 1):
-            drawn.mesh = self._add(
-                f"/anatomy/structure{k}", drawn, built.vertices_shown, built.faces_shown,
-                built.fronts_only,
-            )  # fmt: skip
-            self._heat.set_shape(k, built.vertices_shown, built.faces_shown, built.fronts_only)
-        looks_of = [scene.vertices_shown, *(one.vertices_shown for one in scene.structures)]
-        for drawn, course, vertices in zip(self._drawn, scene.courses, looks_of, strict=False):
+        for k in range(1, len(self._drawn)):
+            self.cut(None, k)
+        for k, (drawn, course) in enumerate(zip(self._drawn, scene.courses, strict=False)):
             if course is not None and course.form is not None:
-                drawn.follows = Follows(drawn.surface.vertices, vertices)
+                drawn.follows = Follows(drawn.surface.vertices, scene.looks(k)[0])
         if scene.options.tracker is not None:
             self._add_ghosts(scene)
 
-    def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
-        """Draw this part of the mesh, vertices (n, 3) [m] and faces (m, 3); None: all of it."""
+    def cut(
+        self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None, number: int = 0
+    ) -> None:
+        """Draw this part of a structure, vertices (n, 3) [m] and faces (m, 3); None: all of it."""
         scene = self._scene
-        if scene is None:
+        if scene is None or not number < len(self._drawn):
             return
-        drawn = self._drawn[0]
+        drawn = self._drawn[number]
         drawn.whole = part is None
         if drawn.follows is not None:
             drawn.follows.phase = -1.0
-        vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
-        fronts_only = scene.fronts_only and part is None
-        drawn.mesh = self._add("/anatomy/mesh", drawn, vertices, faces, fronts_only)
-        self._heat.set_shape(0, vertices, faces, fronts_only)
+        looks, faces_shown, fronts = scene.looks(number)
+        vertices, faces = (looks, faces_shown) if part is None else part
+        fronts_only = fronts and part is None
+        name = f"/anatomy/structure{number}" if number else "/anatomy/mesh"
+        drawn.mesh = self._add(name, drawn, vertices, faces, fronts_only)
+        self._heat.set_shape(number, vertices, faces, fronts_only)
+
+    def looks(self, shown: Moment, number: int) -> NDArray[np.float64]:
+        """What is drawn of a structure (n, 3), where it rests, in the shape that it has now [m]."""
+        assert self._scene is not None
+        follows, shape = self._drawn[number].follows, shown.shape(number)
+        if follows is None or shape is None:
+            return self._scene.looks(number)[0]
+        return follows.shape(shape)
 
     def show(self, visible: bool) -> None:
         """Layer switch."""
@@ -220,12 +231,14 @@ class Anatomy(Part):
             (drawn.ghost, shown.shape(k, believed=True), GHOST_SIZE),
         ):
             if node is not None and vertices is not None:
-                node.vertices = to_buffer(follows.shape(vertices, size))
+                looks = follows.shape(vertices, size)
+                node.vertices = to_buffer(looks)
+                if node is drawn.mesh:
+                    self._heat.deform(k, looks)
 
     def _add_ghosts(self, scene: Scene) -> None:
-        shapes = [(scene.vertices_shown, scene.faces_shown)]
-        shapes += [(one.vertices_shown, one.faces_shown) for one in scene.structures]
-        for k, (drawn, (vertices, faces)) in enumerate(zip(self._drawn, shapes, strict=True)):
+        for k, drawn in enumerate(self._drawn):
+            vertices, faces, _ = scene.looks(k)
             course = scene.courses[k]
             if course is None or isinstance(course.form, StreamForm):
                 continue
