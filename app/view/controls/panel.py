@@ -150,8 +150,8 @@ class Panel(Part):
         self._autopilot = self._gui.add_checkbox(
             "Autopilot",
             False,
-            hint="A scripted proxy pushes into the surface of the mesh and slides over it. Grab the "
-            "gizmo to take over.",
+            hint="A scripted proxy pushes into the surface of the mesh and slides over it. Grab "
+            "the gizmo to take over.",
         )
         self._bind(self._autopilot, self._take_autopilot)
 

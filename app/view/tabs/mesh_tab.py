@@ -143,7 +143,6 @@ class MeshTab(Part):
 
     def set_scene(self, scene: Scene) -> None:
         """Drop the report of another mesh; during a replay the session's is kept."""
-        self._structures.set_scene(scene)
         self._scene = scene
         if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
