@@ -26,7 +26,9 @@ from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
 GHOST_OPACITY = 0.25
-GHOST_SIZE = 0.999  # where both coincide, the structure itself is seen
+INSIDE = 1e-4  # the ghost without a margin is so much inside, so that the structure is seen [m]
+OFTEN = 20_000  # vertices of a ghost that is drawn anew as often as a shape; more more seldom
+GROWN = 1e-4  # changes of the margin that are not drawn [m]
 HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
 RESHAPED = 0.08  # between two shapes of a structure that deforms, on the page [s]
 TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
@@ -45,11 +47,9 @@ class Follows:
         self._vertices, self._shown = vertices, shown
         self._of = np.asarray(cKDTree(vertices).query(shown)[1])
 
-    def shape(self, vertices: NDArray[np.float64], size: float = 1.0) -> NDArray[np.float64]:
-        """What is drawn (k, 3) of a shape (n, 3) [m], `size` times as large."""
-        found = self._shown + (vertices - self._vertices)[self._of]
-        middle = 0.5 * (found.min(axis=0) + found.max(axis=0))
-        return np.asarray(middle + size * (found - middle))
+    def shape(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What is drawn (k, 3) of a shape (n, 3) [m]."""
+        return np.asarray(self._shown + (vertices - self._vertices)[self._of])
 
 
 class _Drawn:
@@ -64,6 +64,8 @@ class _Drawn:
         self.whole = True  # not cut
         self.pose: pin.SE3 | None = None  # T_rest_now; None: it rests
         self.ghost: viser.MeshHandle | None = None  # where the guard believes it
+        self.margin = -1.0  # that the ghost was drawn with [m]
+        self.grown_at = -np.inf  # monotonic time of that [s]
         self.follows: Follows | None = None  # how what is drawn of it deforms
 
     def hides(self, eyes: Sequence[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> bool:
@@ -126,8 +128,7 @@ class Anatomy(Part):
         for k, (drawn, course) in enumerate(zip(self._drawn, scene.courses, strict=False)):
             if course is not None and course.form is not None:
                 drawn.follows = Follows(drawn.surface.vertices, scene.looks(k)[0])
-        if scene.options.tracker is not None:
-            self._add_ghosts(scene)
+        self._add_ghosts(scene)
 
     def cut(
         self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None, number: int = 0
@@ -219,6 +220,7 @@ class Anatomy(Part):
             place(drawn.ghost, shown.believed(k))
             self._heat.move(k, pose)
             self._deform(k, drawn, shown)
+            self._grow(k, drawn, shown)
 
     def _deform(self, k: int, drawn: _Drawn, shown: Moment) -> None:
         """Give a structure that deforms its shape, every `RESHAPED` seconds."""
@@ -226,26 +228,41 @@ class Anatomy(Part):
         if follows is None or shown.shape(k) is None or now < follows.due or phase == follows.phase:
             return
         follows.due, follows.phase = now + RESHAPED, phase
-        for node, vertices, size in (
-            (drawn.mesh if drawn.whole else None, shown.shape(k), 1.0),
-            (drawn.ghost, shown.shape(k, believed=True), GHOST_SIZE),
-        ):
-            if node is not None and vertices is not None:
-                looks = follows.shape(vertices, size)
-                node.vertices = to_buffer(looks)
-                if node is drawn.mesh:
-                    self._heat.deform(k, looks)
+        vertices = shown.shape(k)
+        if drawn.mesh is not None and drawn.whole and vertices is not None:
+            looks = follows.shape(vertices)
+            drawn.mesh.vertices = to_buffer(looks)
+            self._heat.deform(k, looks)
+
+    def _grow(self, k: int, drawn: _Drawn, shown: Moment) -> None:
+        """Draw the ghost as large as the margin for what the guard does not know makes it."""
+        ghost, now, margin = drawn.ghost, time.monotonic(), shown.margin(k)
+        if ghost is None or self._scene is None:
+            return
+        if now < drawn.grown_at + RESHAPED * max(1.0, len(ghost.vertices) / OFTEN):
+            return
+        follows, shape = drawn.follows, shown.shape(k, believed=True)
+        deforms = follows is not None and shown.shape(k) is not None
+        if not deforms and abs(margin - drawn.margin) < GROWN:
+            return
+        drawn.grown_at, drawn.margin = now, margin
+        looks, faces, _ = self._scene.looks(k)
+        if follows is not None and deforms:
+            known = shown.shape(k) if shape is None else shape
+            assert known is not None
+            looks = follows.shape(known)
+        ghost.vertices = to_buffer(grown(looks, faces, margin or -INSIDE))
 
     def _add_ghosts(self, scene: Scene) -> None:
         for k, drawn in enumerate(self._drawn):
-            vertices, faces, _ = scene.looks(k)
-            course = scene.courses[k]
-            if course is None or isinstance(course.form, StreamForm):
+            course = scene.courses[k] if scene.courses else None
+            streamed = course is not None and isinstance(course.form, StreamForm)
+            if course is None or not (streamed or scene.options.tracker is not None):
                 continue
-            middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+            vertices, faces, _ = scene.looks(k)
             drawn.ghost = self._api.add_mesh_simple(
                 f"/anatomy/ghost{k}",
-                vertices=to_buffer(middle + GHOST_SIZE * (vertices - middle)),
+                vertices=to_buffer(grown(vertices, faces, -INSIDE)),
                 faces=faces.astype(np.uint32),
                 color=palette.GHOST,
                 opacity=GHOST_OPACITY,
@@ -301,6 +318,22 @@ class Anatomy(Part):
         if drawn.pose is not None:
             place(mesh, drawn.pose)
         return mesh
+
+
+def grown(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], margin: float
+) -> NDArray[np.float64]:
+    """Vertices (n, 3) moved outwards by a margin [m], along the means of their faces' normals."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)  # twice the area long
+    sums = np.column_stack(
+        [
+            np.bincount(faces.ravel(), np.repeat(normals[:, axis], 3), len(vertices))
+            for axis in range(3)
+        ]
+    )
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.asarray(vertices + margin * sums / np.maximum(lengths, 1e-300))
 
 
 def _sources(scene: Scene) -> list[tuple[str, str | None, str | None]]:

@@ -87,6 +87,22 @@ def test_it_is_drawn_where_it_truly_is_and_the_ghost_where_it_is_believed(
     assert np.abs(ghost - truth.vertices).max() > 1e-4
 
 
+def test_the_ghost_is_larger_by_the_margin_for_what_is_not_known(shown: Moment, page: Page) -> None:
+    drawn, surface = page._anatomy._drawn[0], shown.scene.surface
+    margin = shown.places.margin
+    assert margin > 5e-3
+    assert drawn.ghost is not None
+    page._anatomy._drawn[0].grown_at = -np.inf
+    page._frame()
+    shell = np.asarray(drawn.ghost.vertices) / 100.0
+    outwards = shell - surface.vertices
+    assert np.linalg.norm(outwards, axis=1) == pytest.approx(margin, abs=2e-4)
+    middle = surface.vertices.mean(axis=0)
+    assert (np.einsum("ij,ij->i", outwards, surface.vertices - middle) > 0.0).all()
+    # Of a face of the cube the middle is as far away as a corner's normal says.
+    assert np.ptp(shell, axis=0).max() > np.ptp(surface.vertices, axis=0).max() + margin
+
+
 def test_the_layer_switch_hides_the_ghost_alone(page: Page) -> None:
     drawn: Any = page._anatomy._drawn[0]
     page._anatomy.show_ghosts(False)
