@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -338,8 +339,8 @@ def test_a_port_that_is_taken_is_refused(served: Server) -> None:
 
 def sender() -> str:
     """The program of docs/motion.md."""
-    found = re.findall(r"```python\n(.*?)```", DOCS.read_text("utf-8"), re.DOTALL)
-    return next(one for one in found if "create_connection" in one)
+    found = re.findall(r"(?:^(?:    .*)?\n)+", DOCS.read_text("utf-8"), re.MULTILINE)
+    return textwrap.dedent(next(one for one in found if "create_connection" in one))
 
 
 @contextmanager
