@@ -23,6 +23,7 @@ from app.devices.igtl.server import Server, server_of
 from app.devices.page import PageMaster
 from app.devices.spec import Spec
 from app.devices.station import Station
+from app.devices.streaming import Streaming
 from app.kinds import Number, bare
 from app.options import Scope, declared
 from app.recording.capture import Tape
@@ -120,6 +121,7 @@ class Session(Driving):
                 child, orders, options.dt, self._ticked, self._watch.miss, spec
             )
             self._writer = OrderWriter(orders, self._loop.orders)
+        self._streaming = Streaming(self._loop)
 
     def __enter__(self) -> Session:
         try:
@@ -137,8 +139,9 @@ class Session(Driving):
 
         Raises:
             Refused: the control process ended instead.
-            OptionError: the master's address cannot be listened on.
+            OptionError: an address cannot be listened on, the master's or that of a motion.
         """
+        self._streaming.attend(self.scene)
         self._server = server_of(self)
         self._watch.start()
         self._loop.start()
@@ -149,6 +152,7 @@ class Session(Driving):
         """Stop the control loop and wait for it; finish a recording. Safe to call twice."""
         if self._server is not None:
             self._server.close()
+        self._streaming.close()
         self._loop.close()
         self._watch.close()
 
@@ -380,6 +384,7 @@ class Session(Driving):
                 options = scenes.settled(replace(self.options, **wanted), new)
                 plant = scenes.plant(new, options)
                 self.master.hold()
+                self._streaming.attend(new)
                 self._command(autopilot=False, plant=plant, moving=True, pace=1.0)
                 self.scene, self.options = new, options
                 self._loop.wait_for_scene(new.version)

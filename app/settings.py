@@ -117,7 +117,8 @@ class Options(Checked):
     motions: tuple[Motion, ...] = option(
         Repeated(Record(Motion, "a motion")), (),
         f"A motion of structures: {', '.join(KINDS)}. May be repeated. What follows it directly is "
-        "of this motion: --move, --turn, --period, --after, --file, --amplitude, --of with the "
+        "of this motion: --move, --turn, --period, --after, --file, --stream (vertices that come "
+        "while it runs: socket://HOST:PORT, where to listen), --amplitude, --of with the "
         "name of a structure, else all move.",
         Scope.MESH, flag="motion",
     )  # fmt: skip
@@ -191,6 +192,12 @@ class Options(Checked):
     standoff: float = option(
         Length(1e-6, 1e-3, "µm"), 20e-6, "Distance the tool keeps from the surface.", Scope.FIXTURE
     )
+    approach: float = option(
+        Number(0.0, 1000.0, "/s"), 0.0,
+        "Limit of the speed of approach on top of the rule: a part of the tool that is d farther "
+        "away than it must be comes nearer by at most so many times d a second, so 20 lets it "
+        "come 20 mm/s from 1 mm away; 0: no limit.", Scope.FIXTURE,
+    )  # fmt: skip
     tip_radius: float = option(
         Length(0.0, 5e-3), 0.0, "Radius of a spherical tool tip; 0 is a point.", Scope.FIXTURE
     )
@@ -266,6 +273,8 @@ class Options(Checked):
             raise OptionError(f"structures are {len(self.structures)}: at most {MOST} are guarded")
         if len(self.motions) > MOST:
             raise OptionError(f"motions are {len(self.motions)}: there may be {MOST} at most")
+        if sum(motion.stream is not None for motion in self.motions) > 1:
+            raise OptionError("the vertices of one structure may come from a stream, not of more")
         deforms = any(motion.kind in DEFORMING for motion in self.motions)
         if deforms and self.tracker is not None and self.tracker.predictor != "off":
             raise OptionError(

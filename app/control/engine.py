@@ -262,7 +262,9 @@ class Engine:
             self._resets = orders.resets
             self._move_to(_frozen(new.q0))
             self._autopilot_since = None
-            self._phase = self._phase_before = 0.0
+            # What comes from elsewhere does not begin anew.
+            if new.scene != old.scene or not self._guide.movement.streams:
+                self._phase = self._phase_before = 0.0
         elif new.scene != old.scene:
             self._measure()
             stays = new.arm.name == old.arm.name and len(new.q0) == len(self._q)

@@ -18,6 +18,8 @@ from app.control.engine import Orders
 from app.control.mailbox import Mailbox
 from app.control.messages import State, Telemetry
 from app.devices.report import Report
+from app.motion.movement import streamed
+from app.motion.stream import Single, Stream
 from app.recording.capture import Tape
 from app.words import Refused
 
@@ -83,6 +85,14 @@ class Host(ABC):
     def state_command(self, word: str) -> None:
         """Order a state of the arm: "enable", "disable", "pause", "resume"."""
 
+    @abstractmethod
+    def show(self, stream: Stream, vertices: Single, late: float) -> bool:
+        """Hand on a shape that has come for a structure, see `Stream.hear`.
+
+        Returns:
+            Whether the loop has it.
+        """
+
     def _continued(self, state: State, seen: Orders) -> State:
         """The state to go on from after an end, with the newest orders taken as seen.
 
@@ -96,7 +106,12 @@ class Host(ABC):
         if orders.resets != seen.resets or orders.plant.scene != seen.plant.scene:
             # What was ordered meanwhile: the tool is put to the start.
             start = orders.plant.q0
-            state = replace(state, q=start, target=None, autopilot_since=None, step=None, phase=0.0)
+            same = orders.plant.scene == seen.plant.scene
+            goes_on = same and streamed(orders.plant.courses) is not None
+            phase = state.phase if goes_on else 0.0
+            state = replace(
+                state, q=start, target=None, autopilot_since=None, step=None, phase=phase
+            )  # fmt: skip
         return state
 
     def _fail(self, why: str) -> None:

@@ -22,6 +22,7 @@ from app.control.messages import State, Telemetry
 from app.control.priority import CONTROL_PRIORITY, raise_thread_priority
 from app.devices import protocols
 from app.devices.report import Report
+from app.motion.stream import Single, Stream
 from app.words import Refused
 
 log = logging.getLogger(__name__)
@@ -141,6 +142,10 @@ class ControlLoop(Host):
     def state_command(self, word: str) -> None:
         if self._devices is not None:
             self._devices.order(word)
+
+    def show(self, stream: Stream, vertices: Single, late: float) -> bool:
+        stream.hear(vertices, late)
+        return True
 
     def restart(self) -> None:
         if not self.ended:

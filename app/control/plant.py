@@ -87,6 +87,7 @@ def assemble(description: Description, arm: Arm) -> Plant:
         tip_speed=options.tip_speed,
         guard=options.guard,
         trocar=options.trocar,
+        approach=options.approach or None,
     )
     controller = vf.Controller(arm, fixtures, settings)
     # The first tick sets up the solver's workspace.

@@ -15,9 +15,11 @@ from app.control.host import Host
 from app.control.messages import Telemetry
 from app.control.order_writer import OrderWriter
 from app.devices.page import PageMaster, checked_pose
-from app.devices.report import Report
+from app.devices.report import LinkReport, Report
 from app.devices.spec import Spec
+from app.devices.streaming import Streaming
 from app.kinds import Number
+from app.motion.movement import streamed
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.settings import Options
@@ -35,6 +37,7 @@ class Driving(ABC):
     _writer: OrderWriter
     _loop: Host
     spec: Spec | None
+    _streaming: Streaming
 
     @abstractmethod
     def latest(self) -> Telemetry:
@@ -144,8 +147,12 @@ class Driving(ABC):
             pace: seconds of motion, and of its tracker, per second, 0 to 2; None: as before.
 
         Raises:
-            Refused: a pace that is no such number.
+            Refused: a pace that is no such number, or shapes that come from elsewhere, which are
+                not to be stopped.
         """
+        form = streamed(self.scene.courses)
+        if form is not None:
+            raise Refused(f"the vertices from {form.stream.address} come as they are sent")
         changes: dict[str, Any] = {}
         if on is not None:
             changes["moving"] = bool(on)
@@ -163,6 +170,11 @@ class Driving(ABC):
         """Whether structures move, and at what pace, see `move_structures`."""
         orders = self._writer.orders
         return orders.moving, orders.pace
+
+    @property
+    def stream(self) -> LinkReport | None:
+        """How shapes that come from elsewhere came last; None: none are to come."""
+        return self._streaming.report
 
     def put(self, proxy: pin.SE3) -> None:
         """Set the pose of proxy and handle; ends the autopilot.

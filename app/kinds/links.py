@@ -16,6 +16,7 @@ _FACTOR = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 SCHEMES = {
     "arm": ("sim", "socket", "ros", "python"),
     "master": ("page", "sim", "socket", "ros", "igtl", "python"),
+    "stream": ("socket",),
 }
 """By role: the kinds of devices there are."""
 NETWORKED = ("socket", "ros", "python")
@@ -146,7 +147,7 @@ def parse_address(role: str, text: str, link: Link | None = None) -> Address:
     """The address of a device.
 
     Args:
-        role: "arm" or "master".
+        role: one of `SCHEMES`.
         link: used where the text has none of delay, jitter and loss.
 
     Raises:
@@ -215,7 +216,7 @@ def _read(role: str, key: str, value: str) -> Any:
 
 @dataclass(frozen=True)
 class Device(Kind):
-    """The address of a device; `role` is "arm" or "master"."""
+    """The address of a device; `role` is one of `SCHEMES`."""
 
     role: str
 
@@ -224,4 +225,6 @@ class Device(Kind):
     def check(self, name: str, value: Any) -> None:
         if not isinstance(value, str) or not 0 < len(value) <= 1000:
             raise OptionError(f"{name} must be the address of a device, not {shown(value)}")
-        parse_address(self.role, value)
+        address = parse_address(self.role, value)
+        if self.role == "stream" and (address.path or "?" in value):
+            raise OptionError(f"{name} {shown(value)}: write {_SHAPES['socket']}")

@@ -7,7 +7,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.kinds import SEEDS, File, Length, Maybe, Number, OneOf, Place, Speed, Text, Turn, Whole
+from app.kinds import (
+    SEEDS,
+    Device,
+    File,
+    Length,
+    Maybe,
+    Number,
+    OneOf,
+    Place,
+    Speed,
+    Text,
+    Turn,
+    Whole,
+)
 from app.options import Checked, option
 from app.words import OptionError
 
@@ -30,13 +43,15 @@ class Motion(Checked):
         kind: *breathing* rests at the end of each expiration; *heartbeat* is one
             bump a beat; *shift* goes steadily and stays; *knock* is a step and stays; *poses*
             come from a file; *deforming* is the cycle of a mesh of `meshes.deforming`;
-            *vertices* come from a file.
+            *vertices* come from a file or a stream.
         move: farthest displacement, along the axes of the arm's base frame [m].
         turn: farthest turn about the structure's centre, a rotation vector in the base frame [rad].
         period: of a breath, beat or cycle, or the duration of a shift or knock [s]; None: as in
             `PERIODS`, or as the mesh has it.
         after: when it begins [s].
         file: of *poses*, see `app.motion.poses`, or of *vertices*, see `app.motion.vertices`.
+        stream: of *vertices* that come while the session runs, ``socket://HOST:PORT``: where the
+            sandbox listens for them, see `app.devices.sockets.frames`.
         of: name of the structure that it moves; None: all of them as one, about the middle of
             the scene's mesh.
         amplitude: of *deforming*, as a share of what is usual.
@@ -59,16 +74,23 @@ class Motion(Checked):
     file: str | None = option(
         Maybe(File(metavar="FILE")), None, "Of poses: a table (CSV); of vertices: NumPy."
     )
+    stream: str | None = option(
+        Maybe(Device("stream")), None, "Of vertices that come while it runs: where to listen."
+    )
     of: str | None = option(Maybe(Text(100)), None, "Name of the structure it moves; else all.")
     amplitude: float = option(Number(0.0, 3.0), 1.0, "Of deforming: share of what is usual.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.kind in FROM_FILES) != (self.file is not None):
+        streamed = self.kind == "vertices" and self.stream is not None
+        if self.stream is not None and not streamed:
+            raise OptionError(f"the motion {self.kind} takes no stream: only vertices does")
+        if streamed and self.file is not None:
+            raise OptionError("the motion vertices takes a file or a stream, not both")
+        if (self.kind in FROM_FILES) != (self.file is not None) and not streamed:
             wants = f"takes no file: only {' and '.join(FROM_FILES)} do"
-            raise OptionError(
-                f"the motion {self.kind} {'needs a file' if self.file is None else wants}"
-            )
+            needs = "needs a file or a stream" if self.kind == "vertices" else "needs a file"
+            raise OptionError(f"the motion {self.kind} {needs if self.file is None else wants}")
         of_others: tuple[str, ...] = ()
         if self.kind in FROM_FILES:
             of_others = ("move", "turn", "period")
@@ -76,9 +98,12 @@ class Motion(Checked):
             of_others = ("move", "turn")
         if self.kind != "deforming":
             of_others += ("amplitude",)
+        if streamed:
+            of_others += ("after",)
         for name in of_others:
             if getattr(self, name) != getattr(Motion, name):
-                said = ": its file says it" if self.kind in FROM_FILES else ""
+                whose = "stream" if streamed else "file"
+                said = f": its {whose} says it" if self.kind in FROM_FILES else ""
                 raise OptionError(f"the motion {self.kind} takes no {name}{said}")
 
     @property

@@ -26,6 +26,7 @@ from app.words import OptionError
 from meshes.builtin.deforming import deforming_names
 
 FloatArray = NDArray[np.float64]
+Placement = tuple[float, FloatArray, FloatArray]
 
 FRAME = 0.02  # from one shape to the next, at least [s]
 TICKS = 10  # of a frame, at least
@@ -81,17 +82,30 @@ class Form:
     """The shapes of one structure, arm base frame, where it rests.
 
     Args:
-        source: of the vertices.
-        surface: (n, 3) vertices of the structure at rest [m].
+        source: of the vertices; None: a subclass has them.
+        vertices: (n, 3) vertices of the structure at rest [m].
         dt: of a tick [s].
+        fit: by how much the first shape may be off, as a share of its size.
+        placement: scale, rotation and translation from the source; None: found from its first
+            shape.
 
     Raises:
-        OptionError: the structure is not at the first shape of its source.
+        ValueError: the structure is not at the first shape of its source.
     """
 
-    def __init__(self, source: Source, vertices: FloatArray, dt: float, fit: float) -> None:
+    def __init__(
+        self,
+        source: Source | None,
+        vertices: FloatArray,
+        dt: float,
+        fit: float = FIT,
+        placement: Placement | None = None,
+    ) -> None:
+        if placement is None:
+            assert source is not None
+            placement = _placement(source.rest, vertices, fit)
         self._source = source
-        self._scale, self._R, self._t = _placement(source.rest, vertices, fit)
+        self._scale, self._R, self._t = placement
         self.frame = max(FRAME, TICKS * dt)
         self._pause = RESTS * dt
         self._known = lru_cache(KEPT)(self._made)
@@ -130,14 +144,17 @@ class Form:
 
     def fastest(self) -> float:
         """Bound on the speed of a vertex [m/s]."""
+        assert self._source is not None
         return self._scale * self._source.fastest() * self.frame / (self.frame - self._pause)
 
     @property
     def content(self) -> bytes:
         """What comes from a file; empty: nothing does."""
+        assert self._source is not None
         return self._source.content()
 
     def _made(self, number: int) -> FloatArray:
+        assert self._source is not None
         found = self._scale * self._source.at(number * self.frame) @ self._R.T + self._t
         found.flags.writeable = False
         return found
@@ -196,9 +213,7 @@ def checksum(form: Form) -> str:
     return hashlib.sha256(form.content).hexdigest()
 
 
-def _placement(
-    rest: FloatArray, vertices: FloatArray, fit: float
-) -> tuple[float, FloatArray, FloatArray]:
+def _placement(rest: FloatArray, vertices: FloatArray, fit: float) -> Placement:
     """Scale, rotation and translation that take rest (n, 3) to vertices (n, 3).
 
     S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns",

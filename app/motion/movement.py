@@ -14,6 +14,7 @@ import vf
 from app.motion.course import Course
 from app.motion.declared import DEFORMING, Motion, Tracker
 from app.motion.forms import Form, form_of
+from app.motion.stream import MOST, Stream, StreamForm
 from app.motion.tracking import Belief, Tracking
 from app.words import OptionError
 from meshes.builtin.deforming import deforming_names
@@ -58,13 +59,18 @@ class Movement:
         self._tracked = {
             id(course): Tracking(course.pose, tracker)
             for course in self._different
-            if tracker is not None
+            if tracker is not None and not isinstance(course.form, StreamForm)
         }
         self._truth: tuple[float, dict[int, pin.SE3]] = (-1.0, {})
 
     @property
     def moves(self) -> bool:
         return bool(self._different)
+
+    @property
+    def streams(self) -> bool:
+        """Whether the shapes of a structure come from elsewhere."""
+        return streamed(self._courses) is not None
 
     def truth(self, phase: float) -> list[pin.SE3 | None]:
         """T_rest_now of every structure, arm base frame; None: it stands still."""
@@ -74,6 +80,9 @@ class Movement:
     def beliefs(self, phase: float) -> list[Belief | None]:
         """Where the guard believes every structure to be; None: it stands still, or it knows."""
         found = {key: tracking.belief(phase) for key, tracking in self._tracked.items()}
+        for course in self._different:
+            if isinstance(course.form, StreamForm):
+                found[id(course)] = course.form.belief(phase)
         return [None if course is None else found.get(id(course)) for course in self._courses]
 
     @property
@@ -92,7 +101,8 @@ class Movement:
         rate, found = self.tracker.rate, list[FloatArray | None]()
         for form, belief in zip(self.forms, self.beliefs(phase), strict=True):
             seen = 0 if belief is None else max(belief.number, 0)
-            found.append(None if form is None else form.vertices(seen / rate))
+            known = form is None or isinstance(form, StreamForm)
+            found.append(None if known or form is None else form.vertices(seen / rate))
         return found
 
     def ends(self, structure: int, pair: int) -> tuple[FloatArray, FloatArray]:
@@ -103,7 +113,7 @@ class Movement:
         """
         form = self.forms[structure]
         assert form is not None
-        if self.tracker is None:
+        if self.tracker is None or isinstance(form, StreamForm):
             return form.shape(pair), form.shape(pair + 1)
         first, last = (max(number, 0) / self.tracker.rate for number in (pair - 1, pair))
         return form.vertices(first), form.vertices(last)
@@ -125,7 +135,16 @@ class Movement:
         before = self._poses(start) if self.tracker is None else {}
         after = self._poses(end) if self.tracker is None else {}
         for course in self._different:
-            key = id(course)
+            key, form = id(course), course.form
+            if isinstance(form, StreamForm):
+                form.stream.now = end
+                pairs[key], blend = form.during(start, end)
+                known, last = form.belief(start), form.belief(end)
+                stale |= last.stale
+                growth = max(last.margin - known.margin, 0.0)
+                margin = max(known.margin, last.margin)
+                made[key] = _motion(known.pose, last.pose, margin, growth, blend)
+                continue
             if self.tracker is None:
                 blend = (0.0, 0.0)
                 if course.form is not None:
@@ -147,8 +166,7 @@ class Movement:
 
     def _margin(self, belief: Belief) -> float:
         """That of a belief; where the tool holds because of its age it grows no more [m]."""
-        assert self.tracker is not None
-        return min(belief.margin, self.tracker.most)
+        return belief.margin if self.tracker is None else min(belief.margin, self.tracker.most)
 
     def _poses(self, phase: float) -> dict[int, pin.SE3]:
         if self._truth[0] != phase:
@@ -167,6 +185,8 @@ def courses(
     names: Sequence[str],
     surfaces: Sequence[vf.Surface],
     dt: float = 1e-3,
+    tracker: Tracker | None = None,
+    T_base_mesh: FloatArray | None = None,
 ) -> tuple[Course | None, ...]:
     """The course of every structure; None: nothing moves it.
 
@@ -175,6 +195,8 @@ def courses(
     Args:
         names, surfaces: of the structures, the scene's mesh first; surfaces in the base frame.
         dt: of a tick [s].
+        tracker: its latency and bound are declared for shapes that come from elsewhere.
+        T_base_mesh: (4, 4) pose of the mesh's own frame, in which those are; None: the base frame.
 
     Raises:
         OptionError: a motion of a structure that is not there, or a file that cannot be used.
@@ -191,7 +213,12 @@ def courses(
     deformed: set[str | None] = set()
     for name, surface in zip(names, surfaces, strict=True):
         own = [motion for motion in motions if motion.of in (None, name)]
-        form, rigid = form_of(own, name, surface.vertices, dt)
+        form: Form | None
+        rigid: list[Motion] = []
+        if any(motion.stream is not None for motion in own):
+            form = _streamed(own, names, name, surface, dt, tracker, T_base_mesh)
+        else:
+            form, rigid = form_of(own, name, surface.vertices, dt)
         if form is not None:
             deformed |= {motion.of for motion in own if motion.kind in DEFORMING}
         if form is not None or any(motion.of is not None for motion in rigid):
@@ -208,6 +235,46 @@ def courses(
                 f"catalogue has them, not of {', '.join(dict.fromkeys(names))}"
             )
     return tuple(found)
+
+
+def _streamed(
+    own: Sequence[Motion],
+    names: Sequence[str],
+    name: str,
+    surface: vf.Surface,
+    dt: float,
+    tracker: Tracker | None,
+    T_base_mesh: FloatArray | None,
+) -> StreamForm:
+    """The form of a structure whose shapes come from elsewhere.
+
+    Raises:
+        OptionError: it has another motion, too many vertices, or it is not said which one it is.
+    """
+    motion = next(motion for motion in own if motion.stream is not None)
+    assert motion.stream is not None
+    if motion.of is None and len(names) > 1:
+        raise OptionError(
+            f"the vertices from {motion.stream} are of one structure: name it with --of, one of "
+            f"{', '.join(dict.fromkeys(names))}"
+        )
+    if len(own) > 1:
+        raise OptionError(
+            f"'{name}' is where the vertices from {motion.stream} say: it takes no other motion"
+        )
+    n = len(surface.vertices)
+    if n > MOST:
+        raise OptionError(
+            f"'{name}' has {n:,} vertices: from a stream a structure may have {MOST:,}"
+        )
+    T = np.eye(4) if T_base_mesh is None else T_base_mesh
+    return StreamForm(Stream(motion.stream, tracker), surface.vertices, T, dt)
+
+
+def streamed(courses: Sequence[Course | None]) -> StreamForm | None:
+    """The form whose shapes come from elsewhere while the session runs; None: there is none."""
+    forms = (course.form for course in courses if course is not None)
+    return next((form for form in forms if isinstance(form, StreamForm)), None)
 
 
 def checksum(courses: Sequence[Course | None]) -> str:

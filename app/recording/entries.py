@@ -28,6 +28,7 @@ from app.recording.format import (
     MAX_PLANTS,
     MAX_ROWS,
     MAX_WAYPOINTS,
+    MOTION_ADDED,
     RECORDED,
     Place,
     RecordingError,
@@ -230,6 +231,14 @@ def _options(values: dict[str, Any], version: int) -> Options:
     for since, added in ADDED.items():
         if version < since and not set(values) & set(added):
             values = values | added
+    for since, added in MOTION_ADDED.items():
+        if version < since and isinstance(values.get("motions"), list):
+            values = values | {
+                "motions": [
+                    one if not isinstance(one, dict) or set(one) & set(added) else one | added
+                    for one in values["motions"]
+                ]
+            }
     if set(values) != set(RECORDED):
         odd = sorted(set(values) ^ set(RECORDED))[0][:40]
         raise RecordingError(f"the options in the header are not those of a session ({odd!a})")

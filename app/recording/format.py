@@ -1,6 +1,6 @@
 """Format of a recording: every order that took effect, every tick, and the state before them.
 
-A file of version 6 is append-only and consists of blocks: wherever the writing ends, all complete
+A file of version 7 is append-only and consists of blocks: wherever the writing ends, all complete
 blocks are readable. It is `MAGIC`, followed by
 
 - one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
@@ -13,6 +13,9 @@ blocks are readable. It is `MAGIC`, followed by
   `ROWS`, one row for every tick, and one for every change of the orders while the loop was paused.
   The column ``order`` is the order in force, so the first row with an order is the tick at which it
   took effect;
+- any number of ``SHAP``: a shape of a structure that came from elsewhere, before the ``PART`` with
+  the first row that it matters to: a `SHAPE` and its vertices, zlib-compressed, x, y, z of each in
+  single precision;
 - one ``LAST``: JSON with why the recording ended. A file without it is truncated.
 
 Each block begins with a `BLOCK`: kind, length of the content [byte], number of its rows (in
@@ -23,7 +26,8 @@ Columns are little-endian, SI units, poses in the arm's base frame. An order tha
 newer one before the engine read it had no effect and is not in the file. Planes are not stored:
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
 and checked against ``planes_crc``; so is how structures move, from the phase of their motion in
-every row. Options of the server, such as host and port, are not recorded.
+every row, and from the shapes where these come from elsewhere. Options of the server, such as host
+and port, are not recorded.
 
 Older versions are still read. They lack the options of `ADDED`, the columns of `LATER` and the
 structures, and are else the same; for version 1 see `archive`.
@@ -41,12 +45,13 @@ from numpy.typing import NDArray
 
 from app.control.autopilot import Course
 from app.control.messages import State
+from app.motion.stream import Frame
 from app.options import declared
 from app.settings import Options
 
 FORMAT = "vf-sandbox recording"
-VERSION = 6
-MAGIC = b"vf-sandbox recording 6\n"
+VERSION = 7
+MAGIC = b"vf-sandbox recording 7\n"
 MAGICS = {b"vf-sandbox recording %d\n" % version: version for version in range(2, VERSION + 1)}
 """The versions of append-only files, by what they begin with; all equally long."""
 ADDED: dict[int, dict[str, object]] = {
@@ -54,11 +59,15 @@ ADDED: dict[int, dict[str, object]] = {
     4: {"structures": [], "margin": 0.0, "guarded": True, "colour": None, "opacity": 1.0},
     5: {"motions": [], "tracker": None},
     6: {"registration": None},
+    7: {"approach": 0.0},
 }
 """By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")
 LENGTH = struct.Struct("<I")
-HEAD, PART, LAST = b"HEAD", b"PART", b"LAST"
+# Index of the scene; number of the frame, of the shape; phase when it was seen [s]; how many
+# vertices: see `app.motion.stream.Frame`.
+SHAPE = struct.Struct("<IQQdI")
+HEAD, PART, SHAP, LAST = b"HEAD", b"PART", b"SHAP", b"LAST"
 SUFFIX = ".vfrec"
 JOINTS = 8  # width of the column q, padded with zeros
 CHUNK = 4096  # largest number of rows in a part
@@ -66,6 +75,7 @@ MAX_ROWS = 4_000_000  # over an hour at 1 kHz
 MAX_ORDERS = 1_000_000
 MAX_PLANTS = 20_000
 MAX_WAYPOINTS = 1000  # of a course
+MAX_SHAPES = 2 * 10**8  # numbers in all shapes
 MAX_HEADER = 64_000_000  # [byte]
 MAX_BLOCK = 16_000_000  # [byte], unpacked
 
@@ -118,6 +128,8 @@ ROWS = np.dtype(
 )
 LATER: dict[int, dict[str, object]] = {5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0}}
 """By version: the columns that tables have since then, and what they were before."""
+MOTION_ADDED: dict[int, dict[str, object]] = {7: {"stream": None}}
+"""By version: what an entry of the motions has since then, and what it was before."""
 COMPARED = tuple(name for name in ROWS.names or () if name != "spent")
 
 
@@ -196,6 +208,7 @@ class Recording:
         note: why the recording ended, if it was not stopped by the user.
         packages: versions it was made with, by name.
         cut: what is missing at its end, in one sentence; empty: nothing.
+        shapes: those that came from elsewhere, each with its scene (index of `places`).
     """
 
     places: tuple[Place, ...]
@@ -207,6 +220,7 @@ class Recording:
     note: str
     packages: dict[str, str]
     cut: str = ""
+    shapes: tuple[tuple[int, Frame], ...] = ()
 
     @property
     def dt(self) -> float:

@@ -15,7 +15,7 @@ import robots
 import vf
 from app.control.engine import Plant
 from app.control.messages import LoopStats, Telemetry
-from app.motion.movement import Movement, checksum
+from app.motion.movement import Movement, checksum, streamed
 from app.motion.refits import Guide
 from app.recording import rerun
 from app.recording.format import Recording
@@ -48,6 +48,7 @@ def build_scenes(
     for k, place in enumerate(recording.places):
         same = (
             like is not None
+            and streamed(like.courses) is None  # which goes on
             and as_json(place.options) == as_json(like.options)
             and [place.checksum, *(one.checksum for one in place.structures)]
             == [surface.checksum for surface in like.surfaces]
@@ -73,6 +74,8 @@ class Player:
         """`built` are the scenes of the recording, in its order."""
         self.recording = recording
         self._scenes = tuple(built)
+        for place, scene in enumerate(self._scenes):
+            rerun.reshape(recording, place, scene)
         self._index = -1
         self._plant: Plant | None = None
         self._movement: Movement | None = None
@@ -146,10 +149,19 @@ class Player:
 
     def _phase_before(self, row: int) -> float:
         """The phase before a row: that of the row before, or 0 after a reset or a new scene."""
-        if self._jumped(row):
+        if self._jumped(row) and not self._goes_on(row):
             return 0.0
         rows = self.recording.rows
         return float(rows["phase"][row - 1]) if row else self.recording.state.phase
+
+    def _goes_on(self, row: int) -> bool:
+        """Whether the phase goes on at a reset: shapes come from elsewhere, in the same scene."""
+        before, now = (self._place(max(k, 0)) for k in (row - 1, row))
+        return before == now and streamed(self._scenes[now].courses) is not None
+
+    def _place(self, row: int) -> int:
+        recording = self.recording
+        return recording.plants[recording.orders["plant"][recording.rows["order"][row]]][0]
 
     def _before(self, row: int, q: np.ndarray) -> np.ndarray:
         """Joints before the tick of a row; those after it if a reset or a new scene moved them."""

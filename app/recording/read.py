@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from app.motion.stream import FARTHEST, FIRST, MOST, Frame
 from app.recording import archive, entries
 from app.recording.checks import check
 from app.recording.format import (
@@ -27,9 +28,12 @@ from app.recording.format import (
     MAX_ORDERS,
     MAX_PLANTS,
     MAX_ROWS,
+    MAX_SHAPES,
     ORDERS,
     PART,
     ROWS,
+    SHAP,
+    SHAPE,
     VERSION,
     Recording,
     RecordingError,
@@ -99,7 +103,7 @@ def blocks(file: BinaryIO, size: int) -> list[Block]:
         file.seek(at)
         kind, length, rows, crc = BLOCK.unpack(file.read(BLOCK.size))
         most = CHUNK if kind == PART else MAX_ROWS
-        if kind not in (HEAD, PART, LAST) or length > MAX_BLOCK or rows > most:
+        if kind not in (HEAD, PART, SHAP, LAST) or length > MAX_BLOCK or rows > most:
             break
         at += BLOCK.size
         found.append(Block(kind, at, length, rows, crc))
@@ -157,6 +161,8 @@ class _Reader:
         self._plants: list[Any] = []
         self._courses: list[Any] = []
         self._orders: list[NDArray[Any]] = []
+        self._shapes: list[tuple[int, Frame]] = []
+        self._shaped = 0  # numbers in them
         self._note = ""
         self.ended = False
 
@@ -167,6 +173,8 @@ class _Reader:
             self._head = entries.header(content, entries.Head, self._version)
         elif block.kind == PART:
             self._part(block.rows, content)
+        elif block.kind == SHAP:
+            self._shape(content)
         else:
             if block.rows != self._filled:
                 raise RecordingError(f"it has {self._filled:,} rows, not {block.rows:,}")
@@ -187,9 +195,33 @@ class _Reader:
             rows=self._rows[: self._filled],
             note=self._note,
             packages=entries.packages(self._head),
+            # Those of a scene whose part is missing matter to no row.
+            shapes=tuple(one for one in self._shapes if one[0] < len(self._places)),
         )
         check(recording)
         return recording
+
+    def _shape(self, content: bytes) -> None:
+        """A shape that came from elsewhere."""
+        if len(content) < SHAPE.size:
+            raise RecordingError("a shape in it is damaged")
+        place, number, shape, seen, count = SHAPE.unpack(content[: SHAPE.size])
+        self._shaped += 3 * count
+        if not 1 <= count <= MOST or self._shaped > MAX_SHAPES:
+            raise RecordingError(f"the shapes in it have more than {MAX_SHAPES:,} numbers")
+        if shape < FIRST or not 0.0 <= seen <= 1e9:
+            raise RecordingError("a shape in it has no possible time")
+        unpacking = zlib.decompressobj()
+        try:
+            data = unpacking.decompress(content[SHAPE.size :], 12 * count)
+        except zlib.error as error:
+            raise RecordingError(f"a shape in it is damaged ({error})") from None
+        if len(data) != 12 * count:
+            raise RecordingError(f"a shape in it has {len(data):,} bytes, not {12 * count:,}")
+        vertices = np.frombuffer(data, "<f4").reshape(-1, 3).astype(np.float32)
+        if not (np.abs(vertices) <= FARTHEST).all():
+            raise RecordingError("a vertex of a shape in it is out of range")
+        self._shapes.append((place, Frame(number, shape, seen, vertices)))
 
     def _part(self, n: int, packed: bytes) -> None:
         unpacking = zlib.decompressobj()

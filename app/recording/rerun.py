@@ -12,7 +12,7 @@ import meshes
 from app.control.engine import Engine, Orders, Plant
 from app.control.messages import LoopStats, Telemetry
 from app.files import shown
-from app.motion.movement import checksum
+from app.motion.movement import checksum, streamed
 from app.recording.format import CHUNK, COMPARED, ROWS, Place, Recording, RecordingError
 from app.recording.rows import command as command_of
 from app.recording.rows import fill
@@ -73,6 +73,7 @@ def rerun(
                 if where != place or scene is None:
                     place = where
                     scene = build(recording.places[where], where + 1, mesh, path)
+                    reshape(recording, where, scene)
                 course = recording.courses[index]
                 room = scene if course is None else replace(scene, autopilot=course)
                 plant = scenes.plant(room, options)
@@ -98,6 +99,29 @@ def orders_of(noted: np.void, plant: Plant) -> Orders:
         moving=bool(noted["moving"]),
         pace=float(noted["pace"]),
     )
+
+
+def reshape(recording: Recording, place: int, scene: Scene) -> None:
+    """Give a scene the shapes that came from elsewhere while it was recorded.
+
+    Args:
+        place: index of the scene in the recording.
+
+    Raises:
+        RecordingError: they are not of its structure.
+    """
+    form = streamed(scene.courses)
+    shapes = [frame for k, frame in recording.shapes if k == place]
+    if form is None:
+        if shapes:
+            raise RecordingError("it has shapes of a structure that does not change its shape")
+        return
+    for frame in shapes:
+        if len(frame.vertices) != form.count:
+            raise RecordingError(
+                f"a shape in it has {len(frame.vertices):,} vertices, its structure {form.count:,}"
+            )
+    form.stream.fill(shapes)
 
 
 def build(

@@ -23,7 +23,8 @@ from app.control.autopilot import Course
 from app.control.engine import Orders, Plant
 from app.control.messages import State, Telemetry
 from app.files import numbered
-from app.motion.movement import checksum
+from app.motion.movement import checksum, streamed
+from app.motion.stream import Frame, Stream
 from app.options import raw
 from app.recording.format import (
     BLOCK,
@@ -37,10 +38,13 @@ from app.recording.format import (
     MAX_ORDERS,
     MAX_PLANTS,
     MAX_ROWS,
+    MAX_SHAPES,
     ORDERS,
     PART,
     RECORDED,
     ROWS,
+    SHAP,
+    SHAPE,
     VERSION,
     RecordingError,
     chained,
@@ -83,6 +87,8 @@ class Recorder:
         self._orders: list[tuple[Any, ...]] = []
         self._rows = np.zeros(CHUNK, dtype=ROWS)
         self._filled = 0
+        self._streams: list[tuple[int, Stream, int]] = []  # scene, and the last frame written
+        self._shaped = 0  # numbers in all shapes so far
         self.kept = 0
         self._end = 0  # of the last complete block [byte]
         self._crc = zlib.crc32(MAGIC)
@@ -138,13 +144,15 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Write the pending rows and orders as a part.
+        """Write the pending rows and orders as a part, and before it the shapes that have come.
 
         Raises:
+            RecordingError: a limit of a recording is reached; `close` is still possible.
             OSError: the file cannot be written; it is unchanged.
         """
         if not (self._filled or self._orders):
             return
+        self._write_shapes()
         about = {"places": self._places, "plants": self._plants, "orders": len(self._orders)}
         text = json.dumps(about).encode()
         content = b"".join(
@@ -174,6 +182,9 @@ class Recorder:
             except OSError as error:
                 note = note or f"the file cannot be written ({error.strerror})"
                 raise
+            except RecordingError as error:
+                note = note or str(error)
+                raise
             finally:
                 self._block(LAST, self.kept, json.dumps({"note": note}).encode())
                 os.fsync(self._file.fileno())
@@ -184,6 +195,19 @@ class Recorder:
         """Delete the file."""
         self.path.unlink(missing_ok=True)
         self._file.close()
+
+    def _write_shapes(self) -> None:
+        """Write the shapes that came since the last time."""
+        for k, (place, stream, last) in enumerate(self._streams):
+            for frame in stream.since(last):
+                self._shaped += frame.vertices.size
+                if self._shaped > MAX_SHAPES:
+                    raise RecordingError(
+                        f"a recording holds at most {MAX_SHAPES:,} numbers of shapes"
+                    )
+                self._block(SHAP, 0, packed(place, frame))
+                self._streams[k] = place, stream, frame.number
+        del self._streams[:-1]  # scenes before the present one
 
     def _note_orders(self, orders: Orders) -> None:
         if self._counts["orders"] >= MAX_ORDERS:
@@ -230,6 +254,9 @@ class Recorder:
                     "poses": checksum(plant.courses),
                 }
             )
+            form = streamed(plant.courses)
+            if form is not None:
+                self._streams.append((self._counts["places"], form.stream, 0))
             self._counts["places"] += 1
         script = plant.autopilot
         self._plants.append(
@@ -265,6 +292,12 @@ class Recorder:
                 self._file.seek(self._end)
             raise
         self._end += len(content)
+
+
+def packed(place: int, frame: Frame) -> bytes:
+    """A shape of a scene, as in a block."""
+    head = SHAPE.pack(place, frame.number, frame.shape, frame.seen, len(frame.vertices))
+    return head + zlib.compress(frame.vertices.astype("<f4").tobytes(), 1)
 
 
 def packages() -> dict[str, str]:

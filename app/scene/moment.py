@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 import vf
 from app.control.messages import Telemetry
 from app.control.watch import Crossing
+from app.devices.report import LinkReport
 from app.motion.movement import Movement
 from app.motion.tracking import Belief
 from app.scene.scene import Scene
@@ -65,6 +66,8 @@ class Placed:
         pose: T_rest_now as it truly is; None: it rests.
         believed: the same as the guard believes.
         as_believed: the surface in the shape that the guard believes it to have.
+        number: of the structure, 0 is the mesh.
+        rest: the surface in the shape that it has at rest; None: that of `surface`.
     """
 
     own: Structure
@@ -72,11 +75,24 @@ class Placed:
     pose: pin.SE3 | None = None
     believed: pin.SE3 | None = None
     as_believed: vf.Surface | None = None
+    number: int = 0
+    rest: vf.Surface | None = None
 
     @property
     def guards(self) -> vf.Surface:
         """The surface in the shape of which the guard keeps the tool out."""
         return self.surface if self.as_believed is None else self.as_believed
+
+    def frozen(self) -> vf.Surface:
+        """A surface in the base frame: it, where and as the guard believes it.
+
+        Its tree is fitted anew, which takes a while where there are many triangles.
+        """
+        there = self.guards
+        if self.believed is None:
+            return there
+        # Of the one at rest: what it takes to fit the tree is prepared once.
+        return (self.rest or there).deforming(placed(self.believed, there.vertices)).shape(1.0)
 
     def seen(self, p_base: ArrayLike) -> FloatArray:
         """A point (3,) of the base frame in the frame in which the surface rests [m]."""
@@ -108,6 +124,7 @@ class Moment:
         crossing: where the tip crossed the mesh of this scene; None: nowhere, or unknown.
         places: where the structures are.
         contacts: in how many ticks the tip met the anatomy since the last reset; None: unknown.
+        stream: how shapes that come from elsewhere came last; None: none are to come.
     """
 
     scene: Scene
@@ -119,6 +136,7 @@ class Moment:
     crossing: Crossing | None = None
     places: Places = REST
     contacts: int | None = None
+    stream: LinkReport | None = None
 
     @property
     def tip(self) -> pin.SE3:
@@ -140,6 +158,14 @@ class Moment:
         belief = self.places.beliefs[number] if number < len(self.places.beliefs) else None
         return self.pose(number) if belief is None else belief.pose
 
+    def margin(self, number: int) -> float:
+        """What is added to the margins of a structure for what is not known of it [m]."""
+        belief = self.places.beliefs[number] if number < len(self.places.beliefs) else None
+        if belief is None:
+            return 0.0
+        tracker = self.scene.options.tracker
+        return belief.margin if tracker is None else min(belief.margin, tracker.most)
+
     @cached_property
     def structures(self) -> list[Placed]:
         """All structures where they are, in the order of `Options.anatomy`."""
@@ -147,7 +173,7 @@ class Moment:
         return [
             Placed(
                 own, _shaped(one, self.shape(k)) or one, self.pose(k), self.believed(k),
-                _shaped(one, self.shape(k, believed=True)),
+                _shaped(one, self.shape(k, believed=True)), k, one,
             )
             for k, (own, one) in enumerate(pairs)
         ]  # fmt: skip

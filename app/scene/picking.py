@@ -57,21 +57,26 @@ def along(surface: vf.Surface, triangle: int, origin: ArrayLike, direction: Arra
 
 
 def main_structure(
-    surfaces: Sequence[vf.Surface], step: vf.Step, x: FloatArray, chosen: vf.Surface | None
+    surfaces: Sequence[vf.Surface],
+    step: vf.Step,
+    points: Sequence[FloatArray],
+    chosen: int | None,
 ) -> int:
-    """The surface to inspect at a tip x (3,) [m], by its number: the chosen one, if it is there.
+    """The surface to inspect, by its number: the chosen one.
 
     Else the one whose plane pushes the tool most, or else the nearest.
+
+    Args:
+        points: the tip (3,) [m], as each surface sees it.
     """
-    for k, surface in enumerate(surfaces):
-        if surface is chosen:
-            return k
+    if chosen is not None:
+        return chosen
     fixtures, pushes = step.planes.fixtures, step.multipliers
     if fixtures is not None and len(pushes):
         own = np.where(fixtures < len(surfaces), pushes, 0.0)
         if own.max() > 0.0:
             return int(fixtures[own.argmax()])
-    return min(range(len(surfaces)), key=lambda k: surfaces[k].nearest(x)[0])
+    return min(range(len(surfaces)), key=lambda k: surfaces[k].nearest(points[k])[0])
 
 
 def margin_near(

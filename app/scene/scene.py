@@ -95,6 +95,11 @@ class Scene:
         """Those of all structures, the mesh first, in the order of `Options.anatomy`."""
         return self.surface, *(one.surface for one in self.structures)
 
+    def looks(self, number: int) -> tuple[FloatArray, NDArray[np.int64], bool]:
+        """What is drawn of a structure, 0 is the mesh: vertices, faces, whether fronts only."""
+        of = self.structures[number - 1] if number else self
+        return of.vertices_shown, of.faces_shown, of.fronts_only
+
 
 def build(
     options: Options, version: int, progress: Progress | None = None, warm: bool = True
@@ -141,7 +146,9 @@ def build(
 
     surfaces = (surface, *(one.surface for one in built))
     names_of = [str(own.name) for own in options.anatomy]
-    moved = courses(options.motions, names_of, surfaces, options.dt)
+    moved = courses(
+        options.motions, names_of, surfaces, options.dt, options.tracker, T_base_mesh
+    )  # fmt: skip
     notes += too_fast(options.tracker, moved, surfaces)
 
     added = registered(options, T_base_mesh)

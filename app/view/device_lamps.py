@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import viser
@@ -71,8 +72,8 @@ def table(report: Report) -> str:
         _row(color, "state", state),
         _row(palette.GREEN if not report.holds else palette.ORANGE, "tool",
              f"holds: {report.holds}" if report.holds else "follows"),
-        _link("arm", report.arm),
-        _link("master", report.master),
+        link_row("arm", report.arm),
+        link_row("master", report.master),
     ]  # fmt: skip
     if report.arm.url != "sim":
         over = report.error > report.limit
@@ -88,10 +89,16 @@ def table(report: Report) -> str:
         rows.append(
             _row(palette.GREEN, "latency", f"{1e3 * median:.2f} ms, 99.9 % {1e3 * worst:.2f} ms")
         )
+    return rows_table(rows)
+
+
+def rows_table(rows: Sequence[str]) -> str:
+    """Rows of devices as a table."""
     return f"<table class='vf-devices' style='{_STYLE}'>{''.join(rows)}</table>"
 
 
-def _link(name: str, link: LinkReport) -> str:
+def link_row(name: str, link: LinkReport) -> str:
+    """A device as a row: a lamp, its name, and how it is."""
     if link.trouble:
         return _row(palette.ALARM, name, f"{link.url}: {link.trouble}")
     text = link.url

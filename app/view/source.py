@@ -65,6 +65,7 @@ class Source:
                 crossing if crossing is not None and crossing.scene == scene.version else None,
                 self._places(scene, telemetry),
                 session.contacts,
+                session.stream,
             )
         return self.shown
 

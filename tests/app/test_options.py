@@ -95,7 +95,8 @@ def test_what_stands_where_is_as_it_was() -> None:
     shared = {name for name, entry in DECLARED.items() if entry.shared}
     assert set(DECLARED) - shared == server | {"rate", "stale_after"}
     for name in (
-        "corridor", "rule", "radius", "standoff", "tip_radius", "scale", "lock_orientation",
+        "corridor", "rule", "radius", "standoff", "approach", "tip_radius", "scale",
+        "lock_orientation",
         "tip_speed", "force_gain",
     ):  # fmt: skip
         assert DECLARED[name].scope in (Scope.FIXTURE, Scope.TELEOPERATION), name

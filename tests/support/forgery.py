@@ -19,13 +19,14 @@ import numpy as np
 from app.recording.format import ORDERS, ROWS
 from app.recording.read import read
 
-MAGIC = b"vf-sandbox recording 6\n"
+MAGIC = b"vf-sandbox recording 7\n"
 # By version: the options that those before it do not have.
 LATER = {
     3: ("guard", "trocar"),
     4: ("structures", "margin", "guarded", "colour", "opacity"),
     5: ("motions", "tracker"),
     6: ("registration",),
+    7: ("approach",),
 }
 COLUMNS = {5: ("orders/moving", "orders/pace", "rows/00000/phase", "rows/00000/lost")}
 """By version: the columns that those before it do not have."""
@@ -72,7 +73,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def forged(
-    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 6
+    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 7
 ) -> Path:
     """A copy of a recording with its header and columns changed, in this version."""
     recording = read(sound)
@@ -91,6 +92,10 @@ def forged(
             for name in names:
                 if version < since:
                     del entry["options"][name]
+    for entry in header["places"] + header["plants"]:
+        for motion in entry["options"].get("motions", []):
+            if version < 7:
+                del motion["stream"]
     for entry in header["places"]:
         if version < 4:
             del entry["structures"]
@@ -123,7 +128,7 @@ def forged(
                 (b"PART", n, pack(about, tables)),
                 (b"LAST", n, end),
             ],
-            MAGIC.replace(b"6", b"%d" % version),
+            MAGIC.replace(b"7", b"%d" % version),
         )
     )
     return path

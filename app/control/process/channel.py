@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import socket
+import threading
 from typing import Any
 
 _LENGTH = 8  # of a message's length [byte]
@@ -14,6 +15,7 @@ class Channel:
 
     def __init__(self, end: socket.socket) -> None:
         self._socket = end
+        self._sending = threading.Lock()  # several threads do
 
     @staticmethod
     def pair() -> tuple[Channel, Channel]:
@@ -33,11 +35,12 @@ class Channel:
         """
         data = pickle.dumps(content, protocol=5)
         head = len(data).to_bytes(_LENGTH, "little")
-        if fd is None:
-            self._socket.sendall(head)
-        else:
-            socket.send_fds(self._socket, [head], [fd])
-        self._socket.sendall(data)
+        with self._sending:
+            if fd is None:
+                self._socket.sendall(head)
+            else:
+                socket.send_fds(self._socket, [head], [fd])
+            self._socket.sendall(data)
 
     def receive(self) -> tuple[tuple[Any, ...], int | None]:
         """The next message and the descriptor that came with it; waits for it.

@@ -22,6 +22,8 @@ from dataclasses import replace
 from types import FrameType
 from typing import Any
 
+import numpy as np
+
 import robots
 import vf
 from app.control.clock import Timing
@@ -37,6 +39,7 @@ from app.control.process.gaps import Gaps
 from app.control.process.shared import Memory, Queue, Slot
 from app.devices.spec import Spec
 from app.devices.station import Station
+from app.motion import stream as streams
 from app.words import OptionError
 
 log = logging.getLogger("vf-sandbox control")
@@ -142,8 +145,22 @@ class Child:
             self._build(*rest)
         elif kind == "start":
             self._start(*rest)
+        elif kind == "shape":
+            assert fd is not None
+            self._show(Memory(fd, write=False), *rest)
         elif kind == "state" and self._station is not None:
             self._station.order(*rest)
+
+    def _show(self, memory: Memory, key: str, count: int, late: float) -> None:
+        """Take a shape that came for a structure, and say from when on it is the structure's."""
+        memory.forget()
+        stream = streams.known(key)
+        if stream is None:  # of a scene that is no more, or not yet
+            self.tell("shape", None)
+            return
+        vertices = np.frombuffer(memory.data, np.float32, 3 * count).reshape(-1, 3)
+        frame = stream.hear(vertices, late)
+        self.tell("shape", (frame.number, frame.shape, frame.seen))
 
     def _build(self, number: int, data: bytes) -> None:
         try:

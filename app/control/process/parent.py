@@ -26,8 +26,9 @@ from app.control.plant import describe
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
 from app.control.process import surfaces, wire
 from app.control.process.handle import PATIENCE, Child
-from app.control.process.shared import Queue, Slot
+from app.control.process.shared import Memory, Queue, Slot
 from app.devices.spec import Spec
+from app.motion.stream import Frame, Single, Stream
 from app.recording.capture import Tape
 from app.words import Refused
 
@@ -117,6 +118,9 @@ class ControlProcess(Host):
         self.clock = Clock(dt)
         self._changed = threading.Condition()  # something came from the process
         self._reading = threading.Lock()
+        # What became of the shape that was shown last; None: not known yet.
+        self._taken_over: tuple[tuple[int, int, float] | None] | None = None
+        self._showing = threading.Lock()
         self._running = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="control link", daemon=True)
@@ -196,6 +200,26 @@ class ControlProcess(Host):
     def state_command(self, word: str) -> None:
         with contextlib.suppress(OSError):  # the process ended
             self._child.channel.send("state", word)
+
+    def show(self, stream: Stream, vertices: Single, late: float) -> bool:
+        with self._showing:
+            if not self.alive:
+                return False
+            self._taken_over = None
+            try:
+                memory = Memory.create(vertices.nbytes)
+                memory.data[:] = vertices.data.cast("B")
+                content = ("shape", stream.key, len(vertices), late)
+                self._child.channel.send(*content, fd=memory.fd)
+                memory.forget()
+            except OSError:  # the process ended, or there is no memory
+                return False
+            self._wait(lambda: self._taken_over is not None, PATIENCE)
+            found = self._taken_over
+            if found is None or found[0] is None:
+                return False
+            stream.put(Frame(*found[0], vertices))
+            return True
 
     def stop_recording(self) -> Tape:
         self._drain()  # the ticks up to now
@@ -298,6 +322,8 @@ class ControlProcess(Host):
                 child.failed[rest[0]] = rest[1]
             elif kind == "running":
                 child.thread = rest[0]
+            elif kind == "shape":
+                self._taken_over = (rest[0],)
             elif kind == "devices":
                 self.devices = rest[0]
             elif kind == "ended":

@@ -1,4 +1,4 @@
-"""Folder "Motion": whether the structures of the scene move, and how fast."""
+"""Folder "Motion": whether the structures of the scene move, how fast, and how vertices come."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from app.scene.moment import Moment
 from app.scene.scene import Scene
 from app.view.context import PageContext
 from app.view.controls.fields import bind, show
+from app.view.device_lamps import link_row, rows_table
 from app.view.part import Part
 
 
@@ -30,6 +31,7 @@ class MotionControl(Part):
                 1.0,
                 hint="Time of the motion, and of its tracker, over that of the tool.",
             )
+            self._link: Any = gui.add_html("", visible=False)
         for control, take in (
             (self._on, lambda value: self._session.move_structures(on=bool(value))),
             (self._pace, lambda value: self._session.move_structures(pace=float(value))),
@@ -41,8 +43,12 @@ class MotionControl(Part):
         self._folder.visible = scene.moves
 
     def read_out(self, shown: Moment) -> None:
-        live = self._source.live
-        self._on.disabled = self._pace.disabled = not live
+        link = shown.stream
+        free = self._source.live and link is None
+        self._on.disabled = self._pace.disabled = not free
+        content = "" if link is None else rows_table([link_row("vertices", link)])
+        if content != self._link.content:
+            self._link.content, self._link.visible = content, bool(content)
         self._sync()
 
     def _sync(self) -> None:

@@ -150,8 +150,8 @@ class Panel(Part):
         self._autopilot = self._gui.add_checkbox(
             "Autopilot",
             False,
-            hint="A scripted proxy pushes into the surface and slides over it. Grab the gizmo to "
-            "take over.",
+            hint="A scripted proxy pushes into the surface of the mesh and slides over it. Grab "
+            "the gizmo to take over.",
         )
         self._bind(self._autopilot, self._take_autopilot)
 
@@ -182,6 +182,7 @@ class Panel(Part):
             self._radius = self._number("Radius", "radius", 0.05)
             self._number("Tip radius", "tip_radius", 0.1)
             self._number("Standoff", "standoff", 5.0)
+            self._number("Approach", "approach", 5.0)
             self._number("Trocar zone", "trocar", 1.0)
         self._bind(self._rule, lambda value: session.set(rule=str(value)))
         self._bind(self._guard, lambda value: session.set(guard=str(value)))

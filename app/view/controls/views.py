@@ -75,8 +75,8 @@ class Views:
             )
             self._group(
                 "Section",
-                "Hide the part of the anatomy between the tool’s tip and your eye, for all "
-                f"clients. Key {SECTION_KEY}.",
+                "Hide the part of the mesh between the tool’s tip and your eye, for all clients; "
+                f"of another structure if that is chosen in the tab Mesh. Key {SECTION_KEY}.",
                 {"Cut at the tip, or not": section},
             )
             self._group(

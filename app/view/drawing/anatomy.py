@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 import vf
 from app.judges.meeting import sees
+from app.motion.stream import StreamForm
 from app.scene.moment import Moment, seen_from
 from app.scene.scene import Scene
 from app.structure import Structure
@@ -25,7 +26,9 @@ from app.view.units import VIEW_SCALE, to_buffer
 
 TRANSLUCENT = 0.3
 GHOST_OPACITY = 0.25
-GHOST_SIZE = 0.999  # where both coincide, the structure itself is seen
+INSIDE = 1e-4  # the ghost without a margin is so much inside, so that the structure is seen [m]
+OFTEN = 20_000  # vertices of a ghost that is drawn anew as often as a shape; more more seldom
+GROWN = 1e-4  # changes of the margin that are not drawn [m]
 HOLD = 1.0  # a structure stays translucent so long after it last hid the tip [s]
 RESHAPED = 0.08  # between two shapes of a structure that deforms, on the page [s]
 TURNS = 15  # in so many frames all structures are tested for whether they hide the tip
@@ -44,11 +47,9 @@ class Follows:
         self._vertices, self._shown = vertices, shown
         self._of = np.asarray(cKDTree(vertices).query(shown)[1])
 
-    def shape(self, vertices: NDArray[np.float64], size: float = 1.0) -> NDArray[np.float64]:
-        """What is drawn (k, 3) of a shape (n, 3) [m], `size` times as large."""
-        found = self._shown + (vertices - self._vertices)[self._of]
-        middle = 0.5 * (found.min(axis=0) + found.max(axis=0))
-        return np.asarray(middle + size * (found - middle))
+    def shape(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What is drawn (k, 3) of a shape (n, 3) [m]."""
+        return np.asarray(self._shown + (vertices - self._vertices)[self._of])
 
 
 class _Drawn:
@@ -63,6 +64,8 @@ class _Drawn:
         self.whole = True  # not cut
         self.pose: pin.SE3 | None = None  # T_rest_now; None: it rests
         self.ghost: viser.MeshHandle | None = None  # where the guard believes it
+        self.margin = -1.0  # that the ghost was drawn with [m]
+        self.grown_at = -np.inf  # monotonic time of that [s]
         self.follows: Follows | None = None  # how what is drawn of it deforms
 
     def hides(self, eyes: Sequence[NDArray[np.float64]], p_tip: NDArray[np.float64]) -> bool:
@@ -87,6 +90,8 @@ class Anatomy(Part):
         self._ghosts = True  # likewise
         self._turn = 0
         self._heat = Heat(api)
+        self.chosen = 0
+        """Number of the structure that is chosen on the page; 0 is the mesh."""
 
     @property
     def margins(self) -> Scale | None:
@@ -106,6 +111,8 @@ class Anatomy(Part):
         looks = enumerate(zip(scene.options.anatomy, scene.surfaces, strict=True))
         same = self._scene is not None and _sources(self._scene) == _sources(scene)
         switches = [drawn.visible for drawn in self._drawn]
+        if self.chosen >= len(scene.surfaces):
+            self.chosen = 0
         self._scene = scene
         self._heat.set_scene(scene)
         self._drawn = [
@@ -116,32 +123,38 @@ class Anatomy(Part):
             for drawn, visible in zip(self._drawn, switches, strict=True):
                 drawn.visible = visible
         self.cut(None)
-        for k, (drawn, built) in enumerate(zip(self._drawn[1:], scene.structures, strict=True), 1):
-            drawn.mesh = self._add(
-                f"/anatomy/structure{k}", drawn, built.vertices_shown, built.faces_shown,
-                built.fronts_only,
-            )  # fmt: skip
-            self._heat.set_shape(k, built.vertices_shown, built.faces_shown, built.fronts_only)
-        looks_of = [scene.vertices_shown, *(one.vertices_shown for one in scene.structures)]
-        for drawn, course, vertices in zip(self._drawn, scene.courses, looks_of, strict=False):
+        for k in range(1, len(self._drawn)):
+            self.cut(None, k)
+        for k, (drawn, course) in enumerate(zip(self._drawn, scene.courses, strict=False)):
             if course is not None and course.form is not None:
-                drawn.follows = Follows(drawn.surface.vertices, vertices)
-        if scene.options.tracker is not None:
-            self._add_ghosts(scene)
+                drawn.follows = Follows(drawn.surface.vertices, scene.looks(k)[0])
+        self._add_ghosts(scene)
 
-    def cut(self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> None:
-        """Draw this part of the mesh, vertices (n, 3) [m] and faces (m, 3); None: all of it."""
+    def cut(
+        self, part: tuple[NDArray[np.float64], NDArray[np.int64]] | None, number: int = 0
+    ) -> None:
+        """Draw this part of a structure, vertices (n, 3) [m] and faces (m, 3); None: all of it."""
         scene = self._scene
-        if scene is None:
+        if scene is None or not number < len(self._drawn):
             return
-        drawn = self._drawn[0]
+        drawn = self._drawn[number]
         drawn.whole = part is None
         if drawn.follows is not None:
             drawn.follows.phase = -1.0
-        vertices, faces = (scene.vertices_shown, scene.faces_shown) if part is None else part
-        fronts_only = scene.fronts_only and part is None
-        drawn.mesh = self._add("/anatomy/mesh", drawn, vertices, faces, fronts_only)
-        self._heat.set_shape(0, vertices, faces, fronts_only)
+        looks, faces_shown, fronts = scene.looks(number)
+        vertices, faces = (looks, faces_shown) if part is None else part
+        fronts_only = fronts and part is None
+        name = f"/anatomy/structure{number}" if number else "/anatomy/mesh"
+        drawn.mesh = self._add(name, drawn, vertices, faces, fronts_only)
+        self._heat.set_shape(number, vertices, faces, fronts_only)
+
+    def looks(self, shown: Moment, number: int) -> NDArray[np.float64]:
+        """What is drawn of a structure (n, 3), where it rests, in the shape that it has now [m]."""
+        assert self._scene is not None
+        follows, shape = self._drawn[number].follows, shown.shape(number)
+        if follows is None or shape is None:
+            return self._scene.looks(number)[0]
+        return follows.shape(shape)
 
     def show(self, visible: bool) -> None:
         """Layer switch."""
@@ -207,6 +220,7 @@ class Anatomy(Part):
             place(drawn.ghost, shown.believed(k))
             self._heat.move(k, pose)
             self._deform(k, drawn, shown)
+            self._grow(k, drawn, shown)
 
     def _deform(self, k: int, drawn: _Drawn, shown: Moment) -> None:
         """Give a structure that deforms its shape, every `RESHAPED` seconds."""
@@ -214,23 +228,41 @@ class Anatomy(Part):
         if follows is None or shown.shape(k) is None or now < follows.due or phase == follows.phase:
             return
         follows.due, follows.phase = now + RESHAPED, phase
-        for node, vertices, size in (
-            (drawn.mesh if drawn.whole else None, shown.shape(k), 1.0),
-            (drawn.ghost, shown.shape(k, believed=True), GHOST_SIZE),
-        ):
-            if node is not None and vertices is not None:
-                node.vertices = to_buffer(follows.shape(vertices, size))
+        vertices = shown.shape(k)
+        if drawn.mesh is not None and drawn.whole and vertices is not None:
+            looks = follows.shape(vertices)
+            drawn.mesh.vertices = to_buffer(looks)
+            self._heat.deform(k, looks)
+
+    def _grow(self, k: int, drawn: _Drawn, shown: Moment) -> None:
+        """Draw the ghost as large as the margin for what the guard does not know makes it."""
+        ghost, now, margin = drawn.ghost, time.monotonic(), shown.margin(k)
+        if ghost is None or self._scene is None:
+            return
+        if now < drawn.grown_at + RESHAPED * max(1.0, len(ghost.vertices) / OFTEN):
+            return
+        follows, shape = drawn.follows, shown.shape(k, believed=True)
+        deforms = follows is not None and shown.shape(k) is not None
+        if not deforms and abs(margin - drawn.margin) < GROWN:
+            return
+        drawn.grown_at, drawn.margin = now, margin
+        looks, faces, _ = self._scene.looks(k)
+        if follows is not None and deforms:
+            known = shown.shape(k) if shape is None else shape
+            assert known is not None
+            looks = follows.shape(known)
+        ghost.vertices = to_buffer(grown(looks, faces, margin or -INSIDE))
 
     def _add_ghosts(self, scene: Scene) -> None:
-        shapes = [(scene.vertices_shown, scene.faces_shown)]
-        shapes += [(one.vertices_shown, one.faces_shown) for one in scene.structures]
-        for k, (drawn, (vertices, faces)) in enumerate(zip(self._drawn, shapes, strict=True)):
-            if scene.courses[k] is None:
+        for k, drawn in enumerate(self._drawn):
+            course = scene.courses[k] if scene.courses else None
+            streamed = course is not None and isinstance(course.form, StreamForm)
+            if course is None or not (streamed or scene.options.tracker is not None):
                 continue
-            middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+            vertices, faces, _ = scene.looks(k)
             drawn.ghost = self._api.add_mesh_simple(
                 f"/anatomy/ghost{k}",
-                vertices=to_buffer(middle + GHOST_SIZE * (vertices - middle)),
+                vertices=to_buffer(grown(vertices, faces, -INSIDE)),
                 faces=faces.astype(np.uint32),
                 color=palette.GHOST,
                 opacity=GHOST_OPACITY,
@@ -286,6 +318,22 @@ class Anatomy(Part):
         if drawn.pose is not None:
             place(mesh, drawn.pose)
         return mesh
+
+
+def grown(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], margin: float
+) -> NDArray[np.float64]:
+    """Vertices (n, 3) moved outwards by a margin [m], along the means of their faces' normals."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)  # twice the area long
+    sums = np.column_stack(
+        [
+            np.bincount(faces.ravel(), np.repeat(normals[:, axis], 3), len(vertices))
+            for axis in range(3)
+        ]
+    )
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.asarray(vertices + margin * sums / np.maximum(lengths, 1e-300))
 
 
 def _sources(scene: Scene) -> list[tuple[str, str | None, str | None]]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
+from app.scene.moment import Placed
 from app.scene.scene import Scene
 from app.settings import Options
 from app.view.inspector.compare import Comparison, Forecasts, Pose
@@ -40,6 +41,9 @@ class Subject:
         fixture: number of the controller's fixture that the surface belongs to.
         structure: name of the surface, where the scene has several.
         margin: of the structure [m].
+        number: of the structure in the scene.
+        placed: the structure where the guard believes it at the tick; None: it rests. The surface
+            is replaced by one that is there before it is looked at.
     """
 
     surface: vf.Surface
@@ -56,6 +60,8 @@ class Subject:
     fixture: int = 0
     structure: str = ""
     margin: float = 0.0
+    number: int = 0
+    placed: Placed | None = None
 
     def part(self, planes: vf.Planes, k: int) -> str:
         """Name of the part of the instrument that a plane holds."""
@@ -76,8 +82,9 @@ class Subject:
 
     def same_setting(self, other: Subject) -> bool:
         """Whether another one has the same surface, options and kind (tool or probe)."""
+        moves = self.placed is not None and other.placed is not None
         return (
-            self.surface is other.surface
+            (self.surface is other.surface or (moves and self.number == other.number))
             and self.scene is other.scene
             and self.options == other.options
             and (self.step is None) == (other.step is None)
@@ -163,7 +170,7 @@ class Inspector:
 
     def inspect(self, request: Request) -> Inspection:
         """Inspect the subject of a request."""
-        subject, last = request.subject, self._last
+        subject, last = self._frozen(request.subject), self._last
         options = subject.options
         same = last is not None and subject.same_place(last.subject)
         if last is not None and same:
@@ -204,6 +211,20 @@ class Inspector:
             subject, explanation, planes, multipliers, region, forecasts, settled, pushes
         )
         return self._last
+
+    def _frozen(self, subject: Subject) -> Subject:
+        """The subject with its surface where it is at the tick."""
+        if subject.placed is None:
+            return subject
+        last = None if self._last is None else self._last.subject
+        if (
+            last is None
+            or last.step is not subject.step
+            or last.number != subject.number
+            or last.scene is not subject.scene
+        ):
+            return replace(subject, surface=subject.placed.frozen())
+        return replace(subject, surface=last.surface)
 
     def _compare(self, subject: Subject) -> Forecasts:
         if self._comparison is None or self._comparison[0] is not subject.scene:

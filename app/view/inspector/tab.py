@@ -12,18 +12,16 @@ import viser
 from numpy.typing import NDArray
 
 import vf
-from app.control.engine import guarded
-from app.control.messages import Telemetry
 from app.scene.moment import Moment
-from app.scene.picking import along, main_structure, margin_near, pick
+from app.scene.picking import pick
 from app.scene.scene import Scene
 from app.view import camera
 from app.view.context import PageContext
 from app.view.inspector import descriptions, figures
-from app.view.inspector.compare import Pose
 from app.view.inspector.drawing import NearDrawing
 from app.view.inspector.inspection import Inspection, Inspector, Request, Subject
 from app.view.inspector.probe import Probe, case_pose, case_view
+from app.view.inspector.subject import at_tool, hit
 from app.view.part import Clients, Part
 from app.view.units import VIEW_SCALE, pose_from_view
 from app.view.worker import Worker
@@ -42,8 +40,8 @@ _INTRO = (
     "the paper that it meets. Click one on the anatomy, or step through them.</div>"
 )
 _MOVING = (
-    f"<div style='{_NOTE}'>The inspector explains anatomy that rests; in this scene structures "
-    "move.</div>"
+    f"<div style='{_NOTE}'>Structures move: what is explained is a tick, with the anatomy where "
+    "the guard believed it when the tick ended. Pause (key P) to look at one.</div>"
 )
 
 
@@ -66,7 +64,7 @@ class InspectorTab(Part):
         self._request: Request | None = None
         self._step: vf.Step | None = None  # of the shown tick
         self._chosen: int | None = None  # None: the main triangle of the inspection
-        self._of: vf.Surface | None = None  # the surface that the chosen triangle is of
+        self._of: int | None = None  # number of the structure that the chosen triangle is of
         self._region = False
         self._comparing = False
         self._exploring = False
@@ -87,9 +85,6 @@ class InspectorTab(Part):
         self._surface = scene.surface
         self._near.hide()
         self._drawn = self._step = None
-        if scene.moves and self._on:
-            self._context.server.scene.remove_click_callback(self._clicked)
-            self._on = False
 
     def frame(self, shown: Moment, clients: Clients) -> None:
         telemetry = shown.telemetry
@@ -109,7 +104,7 @@ class InspectorTab(Part):
         now = time.monotonic()
         # The thread uses at most a quarter of a core.
         if now >= self._requested_at + max(REQUEST_PERIOD, 4.0 * self._worker.duration):
-            subject = self._subject(telemetry)
+            subject = self._subject(shown)
             if subject is not None:
                 request = Request(subject, self._region, self._comparing)
                 answer = self._worker.latest()
@@ -130,14 +125,11 @@ class InspectorTab(Part):
 
     def read_out(self, shown: Moment) -> None:
         self._freeze.value = self._exploring
-        live = self._context.source.live and not self._scene.moves
-        self._freeze.disabled = self._cases.disabled = not live
-        self._inspect.disabled = self._scene.moves
-        self._inspect.value = self._inspect.value and not self._scene.moves
+        self._freeze.disabled = self._cases.disabled = not self._context.source.live
         self._intro.content = _MOVING if self._scene.moves else _INTRO
         self._cases.value = HERE if self._case is None else self._case.name
         self._rule_choice.visible = self._exploring
-        self._intro.visible = not self._on
+        self._intro.visible = not self._on or (self._scene.moves and not self._exploring)
         inspection = self._newest() if self._on else None
         if inspection is None:
             for page in (self._report, self._list, self._solid, self._rules):
@@ -169,22 +161,13 @@ class InspectorTab(Part):
             return None
         return inspection
 
-    def _subject(self, telemetry: Telemetry) -> Subject | None:
-        options, scene, step = self._context.source.shown.options, self._scene, telemetry.step
-        if step is None or telemetry.scene != scene.version:
-            return None
+    def _subject(self, shown: Moment) -> Subject | None:
+        options, scene, step = shown.options, self._scene, shown.telemetry.step
         if not self._exploring:
-            target, p_tip = telemetry.target, np.array(step.tip.translation)
-            around = guarded(options, scene.surfaces) or [(options.anatomy[0], scene.surface)]
             chosen = None if self._chosen is None else self._of
-            k = main_structure([one for _, one in around], step, p_tip, chosen)
-            own, surface = around[k]
-            return Subject(
-                surface, p_tip, step.radius, options, options.rule, scene, step,
-                None if target is None else Pose(telemetry.q, target), fixture=k,
-                structure=str(own.name) if scene.structures else "", tick=telemetry.tick,
-                axes=scene.arm.axes(step.q), margin=margin_near(own, surface, p_tip, scene.added),
-            )  # fmt: skip
+            return at_tool(shown, chosen) if shown.scene is scene else None
+        if step is None or shown.telemetry.scene != scene.version:
+            return None
         if self._case is None:
             return Subject(self._surface, self._probe_at, step.radius, options, self._rule, scene)
         return Subject(
@@ -195,7 +178,7 @@ class InspectorTab(Part):
     def _chosen_in(self, inspection: Inspection) -> int:
         chosen = self._chosen
         surface = inspection.subject.surface
-        stale = not self._exploring and self._of is not surface
+        stale = not self._exploring and self._of != inspection.subject.number
         if chosen is None or stale or chosen >= len(surface.faces):
             return inspection.main_triangle()
         return chosen
@@ -271,7 +254,7 @@ class InspectorTab(Part):
 
     def _switch(self, client: viser.ClientHandle, on: bool) -> None:
         scene = self._context.server.scene
-        if on == self._on or (on and self._scene.moves):
+        if on == self._on:
             return
         if on:
             scene.on_click()(self._clicked)  # type: ignore[arg-type]
@@ -285,17 +268,17 @@ class InspectorTab(Part):
         self._context.client_input.submit(self._pick, event.ray_origin, event.ray_direction)
 
     def _pick(self, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
-        options = self._context.source.shown.options
-        around = [surface for _, surface in guarded(options, self._scene.surfaces)]
-        surfaces = [self._surface] if self._exploring else around or [self._scene.surface]
         eye = np.asarray(origin) / VIEW_SCALE
         try:
-            found = [(one, pick(one, eye, direction)) for one in surfaces]
+            if self._exploring:
+                triangle = pick(self._surface, eye, direction)
+                self._chosen = triangle if triangle >= 0 else self._chosen
+                return
+            met = hit(self._context.source.shown, eye, np.asarray(direction))
         except ValueError:
             return  # no browser sends that
-        met = [(along(one, t, eye, direction), k) for k, (one, t) in enumerate(found) if t >= 0]
-        if met:
-            self._of, self._chosen = found[min(met)[1]]
+        if met is not None:
+            self._of, self._chosen = met
 
     def _advance(self, where: str) -> None:
         inspection = self._newest()
@@ -303,7 +286,7 @@ class InspectorTab(Part):
             self._chosen = None
             return
         explanation = inspection.explanation
-        self._of = inspection.subject.surface
+        self._of = inspection.subject.number
         row = explanation.row(self._chosen_in(inspection))
         row += 1 if where == ON else -1
         self._chosen = int(explanation.triangles[min(max(row, 0), len(explanation) - 1)])
@@ -313,7 +296,7 @@ class InspectorTab(Part):
             self._rule = rule
 
     def _explore(self, client: viser.ClientHandle, on: bool) -> None:
-        if on == self._exploring or (on and self._scene.moves):
+        if on == self._exploring:
             return
         if not on:
             self._stop_exploring()
@@ -327,7 +310,7 @@ class InspectorTab(Part):
         if name != HERE and name not in figures.CASES:
             return
         if not self._exploring:
-            if name == HERE or self._scene.moves:
+            if name == HERE:
                 return
             self._start_exploring(client)
         if name == HERE:
@@ -358,13 +341,18 @@ class InspectorTab(Part):
         scene, step = self._scene, self._step
         tip = scene.T_base_start if step is None else step.tip
         radius = 5e-3 if step is None else step.radius
-        self._case, self._surface, self._chosen = None, scene.surface, None
+        self._case, self._chosen = None, None
+        shown = self._context.source.now()
+        subject = at_tool(shown, self._of)
+        one = shown.structures[0 if subject is None else subject.number]
+        self._surface = one.frozen()
+        of = html.escape(f"the surface of {one.own.name}" if scene.structures else "the surface")
         self._probe.show_case(None, np.eye(3), np.zeros(3))
         self._expect.content = (
             f"<div class='vf-expect' style='{_NOTE}'>The loop is paused. Drag the yellow probe "
-            "over the surface: over a face Condition 1 holds, over a ridge 2, in a valley 3.</div>"
+            f"over {of}: over a face Condition 1 holds, over a ridge 2, in a valley 3.</div>"
         )
-        x = beside_tool(scene.surface, np.array(tip.translation), radius)
+        x = beside_tool(self._surface, np.array(tip.translation), radius)
         self._place_probe(x)
         away = camera.DIRECTION * 2.2 * radius / np.sin(camera.FIELD_OF_VIEW / 2.0)
         camera.move(client, camera.View(x + away, x))

@@ -133,14 +133,15 @@ class HealthDrawing:
         self._points.visible = found is not None and len(found.vertices) > 0
 
 
-def report(found: Health) -> str:
-    """HTML report: facts about the mesh, and each finding with its consequence."""
+def report(found: Health, name: str = "") -> str:
+    """HTML report: facts about a mesh of this name, and each finding with its consequence."""
 
     def number(value: float | None, scale: float, unit: str) -> str:
         return "–" if value is None else f"{value * scale:.4g} {unit}"
 
     size = " × ".join(f"{1e3 * side:.3g}" for side in found.extents)
     facts = (
+        *((("structure", name),) if name else ()),
         ("triangles", f"{found.triangles:,}"),
         ("size", f"{size} mm"),
         ("pieces", f"{found.components:,}, genus {'–' if found.genus is None else found.genus}"),

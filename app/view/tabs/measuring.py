@@ -66,8 +66,16 @@ class Measuring:
         structures = fixture_names(shown.options) if scene.structures else ()
         return Extras(
             in_sphere, speed, joints, silent, self._count, where, unwatched, ended, parts,
-            structures, _motion(shown),
+            structures, _motion(shown), _stream(shown),
         )  # fmt: skip
+
+
+def _stream(shown: Moment) -> str:
+    """Where vertices come from, and what is wrong; empty: they do not come from elsewhere."""
+    link = shown.stream
+    if link is None:
+        return ""
+    return f"{link.url} ({link.trouble})" if link.trouble else link.url
 
 
 def _motion(shown: Moment) -> Motion | None:

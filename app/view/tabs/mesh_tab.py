@@ -53,9 +53,9 @@ class MeshTab(Part):
         self._moved = False  # the marks, with the mesh
         self._examining = threading.Lock()
         self._scene: Scene | None = None  # drawn
-        # The examined scene, its report, marks and lift.
-        self._examined: tuple[Scene, str, health.Marks, float] | None = None
-        self._library = context.library
+        # The examined scene, the report, marks, lift, and number of the structure.
+        self._examined: tuple[Scene, str, health.Marks, float, int] | None = None
+        self._library, self._anatomy = context.library, context.anatomy
         self._source = context.source
         server = context.server
         limit = round(self._session.options.upload_limit * 1e6)
@@ -81,7 +81,9 @@ class MeshTab(Part):
                 "Delete mesh file", icon=viser.Icon.TRASH, color="gray"
             )
             self._examine = server.gui.add_button(
-                "Examine", hint="Look for what is wrong with the mesh, and show where."
+                "Examine",
+                hint="Look for what is wrong with the structure that is chosen above, and show "
+                "where.",
             )
             self._show = server.gui.add_checkbox("Show problems", True)
             self._report = server.gui.add_html("")
@@ -114,7 +116,8 @@ class MeshTab(Part):
             if self._examining.locked():
                 self._notify(event.client, "The mesh is being examined: wait until that is done.")
             else:
-                self._run(event.client, lambda: self._run_examination(self._session.scene))
+                chosen = self._anatomy.chosen
+                self._run(event.client, lambda: self._run_examination(self._session.scene, chosen))
 
         @self._repair.on_click
         def _repair(event: viser.GuiEvent[Any]) -> None:
@@ -140,7 +143,6 @@ class MeshTab(Part):
 
     def set_scene(self, scene: Scene) -> None:
         """Drop the report of another mesh; during a replay the session's is kept."""
-        self._structures.set_scene(scene)
         self._scene = scene
         if self._source.live and self._examined and self._examined[0].version != scene.version:
             self._examined = None
@@ -149,7 +151,7 @@ class MeshTab(Part):
     def frame(self, shown: Moment, clients: Clients) -> None:
         if shown.moves or self._moved:
             self._moved = shown.moves
-            self._drawing.move(shown.pose(0))
+            self._drawing.move(shown.pose(0 if self._examined is None else self._examined[4]))
 
     def read_out(self, shown: Moment) -> None:
         self._structures.read_out(shown)
@@ -322,22 +324,28 @@ class MeshTab(Part):
             scene = self._session.change(**wanted, progress=self._progress, stop=stop)
         self._run_examination(scene)
 
-    def _run_examination(self, scene: Scene) -> None:
-        """Examine a scene's mesh and show the report."""
+    def _run_examination(self, scene: Scene, number: int = 0) -> None:
+        """Examine a structure of a scene, 0 is the mesh, and show the report."""
+        if not number < len(scene.surfaces):
+            return
+        surface, own = scene.surfaces[number], scene.options.anatomy[number]
+        decimated = len(scene.looks(number)[1]) < len(surface.faces)
         with self._examining:
             self._update_buttons()
             found = meshes.health(
-                scene.surface, progress=lambda stage: self._progress(f"examining: {stage}")
+                surface, progress=lambda stage: self._progress(f"examining: {stage}")
             )
         if scene is not self._session.scene:
             return
         # Clear of the drawn mesh, which may be decimated.
-        lift = 0.04 * scene.surface.median_edge + (1e-3 * scene.surface.size) * scene.decimated
+        lift = 0.04 * surface.median_edge + (1e-3 * surface.size) * decimated
+        of = str(own.name) if scene.structures else ""
         self._examined = (
             scene,
-            health.report(found),
-            health.marks(found, scene.surface),
+            health.report(found, of),
+            health.marks(found, surface),
             lift,
+            number,
         )
         if self._source.live:
             self._show_report(scene)
@@ -350,7 +358,7 @@ class MeshTab(Part):
             and self._examined is not None
             and self._examined[0].version == scene.version
         ):
-            _, self._report.content, marks, lift = self._examined
+            _, self._report.content, marks, lift, _ = self._examined
             self._drawing.set(marks, lift)
         else:
             self._report.content = _UNKNOWN

@@ -47,6 +47,7 @@ class Extras:
         parts: names of the arm's capsules.
         structures: where the scene has several, names of those that are guarded, by fixture.
         motion: where structures move; None: none does.
+        stream: where vertices come from, and what is wrong with them; empty: they do not.
     """
 
     in_sphere: int
@@ -60,6 +61,7 @@ class Extras:
     parts: tuple[str, ...] = ()
     structures: tuple[str, ...] = ()
     motion: Motion | None = None
+    stream: str = ""
 
 
 def readouts(telemetry: Telemetry, options: Options, extras: Extras) -> str:
@@ -221,6 +223,8 @@ def _state(
         return f"Paused. {place}Run, or step tick by tick.", orange
     if telemetry.stale:
         return "Stale: no message from the dragging client, the tool holds.", red
+    if telemetry.lost and extras.stream:
+        return f"Stale: no new vertices from {extras.stream}: the tool holds.", red
     if telemetry.lost:
         return "Stale tracker: a structure was not seen for too long, the tool holds.", red
     if step is not None and step.status == vf.Status.OVERTAKEN:

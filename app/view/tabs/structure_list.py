@@ -12,7 +12,6 @@ import viser
 from app.kinds import Length, bare
 from app.options import declared
 from app.scene.moment import Moment
-from app.scene.scene import Scene
 from app.structure import Structure
 from app.view import palette
 from app.view.context import PageContext
@@ -49,7 +48,6 @@ class StructureList:
         self._session, self._source = context.session, context.source
         self._anatomy, self._input = context.anatomy, context.client_input
         self._notify = context.notify
-        self._number = 0  # of the chosen structure
         self._controls: list[Any] = []
         gui = context.server.gui
         with gui.add_folder("Structures"):
@@ -57,7 +55,10 @@ class StructureList:
             self._orders = gui.add_text("Order of the list", "")
             self._state = gui.add_html("")
             self._choice: Any = gui.add_dropdown(
-                "Chosen", ("–",), initial_value="–", hint="Also by a click on its name above."
+                "Chosen",
+                ("–",),
+                initial_value="–",
+                hint="Also by a click on its name above. Section and Examine are of this one.",
             )
             limits = bare(declared(Structure)["margin"].kind)
             assert isinstance(limits, Length)
@@ -110,9 +111,10 @@ class StructureList:
             if event.client is not None:
                 self._input.submit(self._act, event.client, str(event.target.value))
 
-    def set_scene(self, scene: Scene) -> None:
-        if self._number >= len(scene.surfaces):
-            self._number = 0
+    @property
+    def _number(self) -> int:
+        """Of the chosen structure."""
+        return self._anatomy.chosen
 
     def read_out(self, shown: Moment) -> None:
         self._sync(shown)
@@ -157,7 +159,7 @@ class StructureList:
 
     def _choose(self, number: int) -> None:
         if 0 <= number < len(self._source.shown.options.anatomy):
-            self._number = number
+            self._anatomy.chosen = number
 
     def _bind(self, control: Any, take: Callable[[Any], object]) -> None:
         """Pass a control's new value to `take`, then show the value in force."""

@@ -86,6 +86,7 @@ options = st.builds(
     rule=st.sampled_from(sorted(vf.RULES)),
     radius=st.none() | within("radius"),
     standoff=within("standoff"),
+    approach=within("approach"),
     tip_radius=within("tip_radius"),
     scale=within("scale"),
     lock_orientation=st.booleans(),

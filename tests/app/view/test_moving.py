@@ -19,10 +19,13 @@ from app.session import Session
 from app.settings import Options
 from app.view import Page
 from app.view.drawing import fixture, section
+from app.view.inspector.inspection import Inspector, Request
+from app.view.inspector.subject import at_tool, hit
 from app.view.tabs import readouts, signals
 from app.view.tabs.depth import whereabouts
 from app.view.tabs.measuring import Measuring
 from tests.support.headless import wait_until
+from tests.support.stand_ins import client
 
 SWAY = Motion("breathing", move=(0.002, 0.0, 0.006), turn=(0.0, 0.0, 0.4), period=1.0)
 LATE = Tracker(rate=20.0, latency=0.1, bound=0.1)
@@ -82,6 +85,22 @@ def test_it_is_drawn_where_it_truly_is_and_the_ghost_where_it_is_believed(
     ghost = placed_nodes(drawn.ghost, surface)
     assert ghost == pytest.approx(moved(before).vertices, abs=1e-6)
     assert np.abs(ghost - truth.vertices).max() > 1e-4
+
+
+def test_the_ghost_is_larger_by_the_margin_for_what_is_not_known(shown: Moment, page: Page) -> None:
+    drawn, surface = page._anatomy._drawn[0], shown.scene.surface
+    margin = shown.places.margin
+    assert margin > 5e-3
+    assert drawn.ghost is not None
+    page._anatomy._drawn[0].grown_at = -np.inf
+    page._frame()
+    shell = np.asarray(drawn.ghost.vertices) / 100.0
+    outwards = shell - surface.vertices
+    assert np.linalg.norm(outwards, axis=1) == pytest.approx(margin, abs=2e-4)
+    middle = surface.vertices.mean(axis=0)
+    assert (np.einsum("ij,ij->i", outwards, surface.vertices - middle) > 0.0).all()
+    # Of a face of the cube the middle is as far away as a corner's normal says.
+    assert np.ptp(shell, axis=0).max() > np.ptp(surface.vertices, axis=0).max() + margin
 
 
 def test_the_layer_switch_hides_the_ghost_alone(page: Page) -> None:
@@ -183,14 +202,64 @@ def test_the_section_cuts_the_anatomy_where_it_is(shown: Moment) -> None:
     assert (there @ normal).min() == pytest.approx((truth.vertices @ normal).min(), abs=1e-6)
 
 
-def test_the_inspector_says_that_it_explains_anatomy_at_rest_alone(page: Page) -> None:
-    tab = next(part for part in page._parts if type(part).__name__ == "InspectorTab")
-    assert tab._inspect.disabled  # type: ignore[attr-defined]
-    assert "rests" in tab._intro.content  # type: ignore[attr-defined]
-    tab._switch(None, True)  # type: ignore[attr-defined]
-    tab._explore(None, True)  # type: ignore[attr-defined]
-    assert not tab._on  # type: ignore[attr-defined]
-    assert not tab._exploring  # type: ignore[attr-defined]
+def test_the_inspector_looks_at_the_anatomy_where_the_guard_believed_it(shown: Moment) -> None:
+    believed, rest = shown.believed(0), shown.scene.surface
+    assert believed is not None
+    vertices = rest.vertices @ believed.rotation.T + believed.translation
+    assert np.abs(vertices - moved(shown).vertices).max() > 1e-3  # and not where it truly is
+    subject = at_tool(shown, None)
+    assert subject is not None
+    assert subject.margin == pytest.approx(shown.places.margin)
+    assert subject.margin > 1e-3
+    near = vertices[rest.faces[11]].mean(axis=0)
+    found = Inspector().inspect(Request(replace(subject, x=near, radius=2e-3), True, True))
+    there = found.explanation
+    exact = trimesh.Trimesh(vertices, rest.faces, process=False)
+    _, distance, _ = exact.nearest.on_surface([near])
+    assert distance[0] < 1e-9
+    assert 11 in there.triangles
+    for k, triangle in enumerate(there.triangles):
+        corners = vertices[rest.faces[triangle]][None]
+        point = trimesh.triangles.closest_point(corners, near[None])[0]
+        np.testing.assert_allclose(there.points[k], point, rtol=0, atol=1e-9)
+    assert found.forecasts is not None
+    assert all(np.isnan(one.step) for one in found.forecasts.of)
+    # Of the next tick it is another surface, of the same one the same.
+    again = Inspector()
+    first = again.inspect(Request(subject, False, False)).subject.surface
+    assert again.inspect(Request(subject, True, False)).subject.surface is first
+    assert first is not rest
+
+
+def test_a_click_picks_the_triangle_where_the_guard_believes_it(shown: Moment) -> None:
+    believed, rest = shown.believed(0), shown.scene.surface
+    assert believed is not None
+    for triangle in (0, 5, 11):
+        corners = rest.vertices[rest.faces[triangle]]
+        middle = believed.act(corners.mean(axis=0))
+        normal = believed.rotation @ rest.normals[triangle]
+        assert hit(shown, middle + 0.2 * normal, -normal) == (0, triangle)
+    assert hit(shown, middle + 0.2 * normal, normal) is None
+
+
+def test_in_a_scene_that_moves_it_can_be_inspected_and_explored(page: Page) -> None:
+    tab: Any = next(part for part in page._parts if type(part).__name__ == "InspectorTab")
+    page._read_out()
+    assert not tab._inspect.disabled
+    assert not tab._freeze.disabled
+    assert "the guard believed it" in tab._intro.content
+    me = client()
+    tab._explore(me, True)
+    try:
+        assert tab._exploring
+        believed = page._source.now().believed(0)
+        rest = tab._scene.surface.vertices
+        wanted = rest @ believed.rotation.T + believed.translation
+        np.testing.assert_allclose(tab._surface.vertices, wanted, rtol=0, atol=1e-12)
+    finally:
+        tab._stop_exploring()
+        tab._switch(me, False)
+        page._input.moved.clear()
 
 
 def test_the_controls_of_motion_are_there_where_something_moves(

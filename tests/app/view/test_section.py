@@ -44,7 +44,7 @@ def test_the_section_follows_the_tip_and_ends_with_its_client(
 ) -> None:
     monkeypatch.setattr(section, "PERIOD", 0.0)
     drawn: list[Any] = []
-    stage: Any = SimpleNamespace(cut=drawn.append)
+    stage: Any = SimpleNamespace(cut=lambda part, _number: drawn.append(part))
     cutting, me = section.Section(stage), client()
     tip = np.array(anatomy.T_base_start.translation)
 

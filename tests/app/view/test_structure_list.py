@@ -120,8 +120,8 @@ def test_the_inspector_explains_the_structure_that_holds_the_tool(pressed: Momen
     assert step is not None
     p_tip = np.array(step.tip.translation)
     surfaces = scene.surfaces
-    assert main_structure(surfaces, step, p_tip, None) == 2
-    assert main_structure(surfaces, step, p_tip, surfaces[3]) == 3
+    assert main_structure(surfaces, step, [p_tip] * len(surfaces), None) == 2
+    assert main_structure(surfaces, step, [p_tip] * len(surfaces), 3) == 3
     subject = Subject(
         surfaces[2], p_tip, step.radius, options, options.rule, scene, step,
         axes=scene.arm.axes(step.q), fixture=2, structure="nerve", margin=1e-3,

@@ -75,13 +75,45 @@ def ramp(share: float) -> palette.Rgb:
     return round(red), round(green), round(blue)
 
 
+@dataclass(frozen=True)
+class Piece:
+    """The part of a surface in a band, by the surface's vertices: it follows where these go.
+
+    Attributes:
+        kept: (u,) numbers of vertices that are vertices of the part.
+        corners: (l, 3) numbers of those of the triangle that a further vertex is in.
+        weights: (l, 3) of these in it.
+        faces: (k, 3) of vertices, those that are kept first.
+    """
+
+    kept: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    weights: FloatArray
+    faces: NDArray[np.int64]
+
+    def vertices(self, of: FloatArray) -> FloatArray:
+        """Its vertices (u + l, 3), of those of the surface (n, 3)."""
+        inner = np.einsum("ij,ijk->ik", self.weights, of[self.corners])
+        return np.concatenate([of[self.kept], inner])
+
+
 def bands(
     vertices: FloatArray, faces: NDArray[np.int64], values: FloatArray, among: Scale
 ) -> list[Part]:
+    """The part of a surface in each band of a scale, see `pieces`.
+
+    Args:
+        vertices: (n, 3).
+    """
+    found = pieces(faces, values, among)
+    return [(piece.vertices(vertices), piece.faces) for piece in found]
+
+
+def pieces(faces: NDArray[np.int64], values: FloatArray, among: Scale) -> list[Piece]:
     """The part of a surface in each band of a scale, cut along the levels; may be empty.
 
     Args:
-        vertices, faces: (n, 3), (m, 3).
+        faces: (m, 3).
         values: (n,) at the vertices [m], linear on a triangle; those outside of the scale count to
             its first or last band.
     """
@@ -89,21 +121,25 @@ def bands(
     of_vertex = np.searchsorted(inner, values, side="right")[faces]  # (m, 3)
     lowest, highest = of_vertex.min(axis=1), of_vertex.max(axis=1)
     mixed = faces[lowest != highest]
-    rest = vertices[mixed], values[mixed]  # corners (k, 3, 3) and their values (k, 3)
+    # Corners (k, 3, 4), each by its weights in the triangle and the triangle's number, and their
+    # values (k, 3).
+    weights = np.broadcast_to(np.eye(3), (len(mixed), 3, 3))
+    number = np.broadcast_to(np.arange(float(len(mixed)))[:, None, None], (len(mixed), 3, 1))
+    rest = np.concatenate([weights, number], axis=2), values[mixed]
     found = []
     for k in range(among.bands):
         cut = rest[0]
         if k < len(inner):
             (cut, _), rest = _split(*rest, inner[k])
         whole = faces[(lowest == k) & (highest == k)]
-        found.append(_joined(vertices, whole, cut))
+        found.append(_joined(len(values), whole, cut, mixed))
     return found
 
 
 def _split(
     corners: FloatArray, values: FloatArray, level: float
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """Triangles (k, 3, 3) with values (k, 3) below and above a level, cut along it."""
+    """Triangles (k, 3, d) with values (k, 3) below and above a level, cut along it."""
     below = values < level
     count = below.sum(axis=1)
     low, high = count == 3, count == 0
@@ -141,16 +177,19 @@ def _split(
     )
 
 
-def _joined(vertices: FloatArray, faces: NDArray[np.int64], corners: FloatArray) -> Part:
-    """One surface of some faces (m, 3) of these vertices, and of loose triangles (k, 3, 3)."""
-    used = np.zeros(len(vertices), dtype=bool)
+def _joined(n: int, faces: NDArray[np.int64], cut: FloatArray, mixed: NDArray[np.int64]) -> Piece:
+    """One part of some faces (m, 3) of n vertices, and of loose triangles (k, 3, 4) in `mixed`."""
+    used = np.zeros(n, dtype=bool)
     used[faces] = True
     number = np.cumsum(used) - 1
-    loose = used.sum() + np.arange(3 * len(corners)).reshape(-1, 3)
-    return (
-        np.concatenate([vertices[used], corners.reshape(-1, 3)]),
+    loose = used.sum() + np.arange(3 * len(cut)).reshape(-1, 3)
+    flat = cut.reshape(-1, 4)
+    # Rounded: a mean of equal numbers need not be that number.
+    corners = mixed[np.rint(flat[:, 3]).astype(np.int64)]
+    return Piece(
+        np.flatnonzero(used), corners.reshape(-1, 3), flat[:, :3],
         np.concatenate([number[faces], loose]),
-    )
+    )  # fmt: skip
 
 
 def legend(among: Scale) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.scene.scene import Scene
 from app.structure import Structure
-from app.view.drawing.heat.bands import Scale, bands, scale
+from app.view.drawing.heat.bands import Piece, Scale, pieces, scale
 from app.view.drawing.nodes import place
 from app.view.units import to_buffer
 
@@ -27,6 +27,7 @@ class _Shape:
     faces: NDArray[np.int64]
     side: str
     nodes: list[viser.MeshHandle] = field(default_factory=list)
+    pieces: list[Piece] = field(default_factory=list)  # one a node
     pose: pin.SE3 | None = None
 
 
@@ -105,6 +106,12 @@ class Heat:
         for node in self._shapes[number].nodes:
             place(node, pose)
 
+    def deform(self, number: int, vertices: FloatArray) -> None:
+        """Give the bands of a structure its shape: what is drawn of it (n, 3) [m]."""
+        shape = self._shapes[number]
+        for node, piece in zip(shape.nodes, shape.pieces, strict=True):
+            node.vertices = to_buffer(piece.vertices(vertices))
+
     def _make(self, number: int) -> None:
         shape, margin = self._shapes[number], self._margins[number]
         assert self._scene is not None
@@ -113,14 +120,14 @@ class Heat:
         assert margin is not None
         _clear(shape)
         values = margin + self._scene.added.at(shape.vertices)
-        parts = bands(shape.vertices, shape.faces, values, self.scale)
-        for k, ((vertices, faces), color) in enumerate(zip(parts, self.scale.colors, strict=True)):
-            if len(faces) == 0:
+        parts = pieces(shape.faces, values, self.scale)
+        for k, (piece, color) in enumerate(zip(parts, self.scale.colors, strict=True)):
+            if len(piece.faces) == 0:
                 continue
             node = self._api.add_mesh_simple(
                 f"/anatomy/margin{number}/{k}",
-                vertices=to_buffer(vertices),
-                faces=faces.astype(np.uint32),
+                vertices=to_buffer(piece.vertices(shape.vertices)),
+                faces=piece.faces.astype(np.uint32),
                 color=color,
                 flat_shading=True,
                 side=shape.side,  # type: ignore[arg-type]
@@ -130,9 +137,10 @@ class Heat:
             if shape.pose is not None:
                 place(node, shape.pose)
             shape.nodes.append(node)
+            shape.pieces.append(piece)
 
 
 def _clear(shape: _Shape) -> None:
     for node in shape.nodes:
         node.remove()
-    shape.nodes = []
+    shape.nodes, shape.pieces = [], []
