@@ -1,0 +1,1 @@
+"""User studies: a person takes part on a page, and what was measured is analysed."""
