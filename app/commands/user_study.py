@@ -81,9 +81,9 @@ def _simulate(options: Simulate) -> int:
 
 
 def _analyse(options: Analyse) -> int:
-    from app.studies.people.analysis import analyse
+    from importlib import import_module
 
-    return int(analyse(options.folder))
+    return int(import_module("app.studies.people.analysis").analyse(options.folder))
 
 
 def _delete(options: Delete) -> int:
@@ -92,7 +92,7 @@ def _delete(options: Delete) -> int:
 
     study = Study.open(options.folder)
     study.delete(options.code)
-    console().print(f"Deleted all data of {options.code}. Reports that were made before: again.")
+    console().print(f"Deleted all data of {options.code}. Make the reports of this study again.")
     return 0
 
 

@@ -126,15 +126,11 @@ class Question(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.kind == "choice") != bool(self.choices):
-            raise OptionError(
-                f"the question {self.id}: choices are for the kind choice, and needed"
-            )
+            raise OptionError(f"question {self.id}: the kind choice needs choices, and no other")
         if not self.low < self.high:
-            raise OptionError(
-                f"the question {self.id}: low {self.low:g} is not below {self.high:g}"
-            )
+            raise OptionError(f"question {self.id}: low {self.low:g} is not below {self.high:g}")
         if self.ends and (self.kind != "scale" or len(self.ends) != 2):
-            raise OptionError(f"the question {self.id}: ends are two texts, of a scale")
+            raise OptionError(f"question {self.id}: ends are two texts, of a scale")
 
     def checked(self, value: Any) -> Any:
         """An answer as it is kept, from the text of a form; None: not answered.
@@ -192,7 +188,7 @@ class Condition(Checked):
         rule: off: no fixture.
         delay: from the hand to the tool [s].
         sound: whether contact is heard.
-        margin: that the fixture keeps beyond what the anatomy says [m].
+        margin: that the fixture keeps from what it guards [m].
         corridor: half width of the corridor about the path, in tracing and cutting [m]; None: none.
         scale, radius, force_gain, tip_speed: as the options of a session.
     """

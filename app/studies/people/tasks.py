@@ -87,9 +87,9 @@ def goal(task: Task, seed: int, scene: Scene) -> Goal:
 
 
 def _targets(count: int, seed: int, scene: Scene) -> FloatArray:
-    """Points in the cavity, beside the nerve and clear of every structure, apart from each other."""
+    """Points (count, 3) in the cavity: beside the nerve, clear of every structure, apart."""
     rng = np.random.default_rng(seed)
-    nerve = next(one for one in scene.structures if one.name == NERVE).surface
+    nerve = scene.structures[KEPT.index(NERVE)].surface
     found: list[FloatArray] = []
     apart = 4e-3
     for attempt in range(4000):
