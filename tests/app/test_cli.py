@@ -105,7 +105,8 @@ def test_help_shows_the_defaults() -> None:
     assert result.returncode == 0
     for word in ("--mesh", "skull", "--radius", "5mm", "--port", "8080", "127.0.0.1"):
         assert word in result.stdout
-    modules = {path.stem for path in (ROOT / "app" / "commands").glob("[a-z]*.py")}
+    files = (ROOT / "app" / "commands").glob("[a-z]*.py")
+    modules = {path.stem.replace("_", "-") for path in files}
     assert set(COMMANDS) == modules
     for command in COMMANDS:
         assert re.search(rf"^  {command} +[A-Z]", result.stdout, re.MULTILINE), command
@@ -198,7 +199,10 @@ WRONG = [
     (["verify", "--seed", "-1"], "seed -1 is outside 0 to"),
     (["replay", "no.vfrec"], "no.vfrec: cannot be read (No such file"),
     (["replay", "."], ".: cannot be read (Is a directory)"),
-    (["bench", "walk"], "choose one of runtime, structures, motion, peers, loop, view, meshes, soak"),
+    (
+        ["bench", "walk"],
+        "choose one of runtime, structures, motion, peers, loop, view, meshes, soak",
+    ),
     (["bench", "runtime", "--rules", "soft"], "unknown rule 'soft'"),
     (["bench", "runtime", "--radii", "5"], "'5' has no unit: write 5mm for millimetres"),
     (["bench", "loop", "--rate", "1e300"], "rate 1e+300 Hz is outside 10 Hz to 20000 Hz"),

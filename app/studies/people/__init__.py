@@ -1,1 +1,1 @@
-"""User studies: a person takes part on a page, and what was measured is analysed."""
+"""User studies: people, or simulated operators, do trials under conditions in balanced order."""

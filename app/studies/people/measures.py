@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import robots
 import vf
@@ -27,11 +27,10 @@ from app.scene.moment import seen_from
 from app.scene.scene import Scene
 from app.settings import MESH, Options
 from app.studies.experiments import cutting, smoothness
-from app.studies.experiments.site import PlannedCut
+from app.studies.people.tasks import Goal
 
 FloatArray = NDArray[np.float64]
 
-TASKS = ("tracing", "targeting", "cutting")
 CONTACT = 1e-4  # a tip nearer than this is in contact; more than the standoff of a fixture [m]
 RELEASE = 5e-4  # a contact ends farther than this, so that a trembling tip makes one of it [m]
 TRACED = 2e-3  # a path is traced up to this height over the surface [m]
@@ -43,38 +42,31 @@ _scenes: OrderedDict[tuple[object, ...], Scene] = OrderedDict()
 
 
 def measure(
-    recording: Path | str | Recording,
-    task: str,
-    *,
-    path: ArrayLike | PlannedCut | None = None,
-    scene: Scene | None = None,
+    recording: Path | str | Recording, goal: Goal, scene: Scene | None = None
 ) -> dict[str, float]:
     """The measures of a trial; NaN where one is not defined, as of a tool that never moved.
 
     - ``sal``, ``sparc``: smoothness of the tip's speed.
     - ``path_deviation`` [m]: tracing and cutting: mean distance to the side of the path, at
       stations of 1 mm that the tip passed (cutting: in the bone). Targeting: mean distance from the
-      path in space.
+      straight way from target to target.
     - ``penetration`` [m]: how deep the tip was in a guarded structure at most; 0: in none.
     - ``time`` [s]: of all ticks.
-    - ``contacts``, ``contacts:NAME``: how often the tip came into contact, with all guarded
+    - ``contacts``, ``contacts NAME``: how often the tip came into contact, with all guarded
       structures and with each one.
     - ``force_integral`` [N s]: of the force on the operator's hand over time.
 
-    A reset during the trial begins the movement anew: what is before it counts for the time alone.
+    What is to be spared is what the options guard, whether or not the rule is off. A reset during
+    the trial begins the movement anew: what is before it counts for the time alone.
 
     Args:
         recording: the trial's file, or its content.
-        task: one of `TASKS`.
-        path: what the tip was to follow, arm base frame: (k, 3) [m], or a planned cut on the outer
-            surface; None: the scene's planned path.
+        goal: what was to be done.
         scene: the recording's scene; None: it is built again, and kept for further trials.
 
     Raises:
-        ValueError: an unknown task, an unusable file, or anatomy that is not what was recorded.
+        ValueError: an unusable file, or anatomy that is not what was recorded.
     """
-    if task not in TASKS:
-        raise ValueError(f"unknown task '{task}': choose one of {', '.join(TASKS)}")
     if not isinstance(recording, Recording):
         recording = read(recording)
     if scene is None:
@@ -83,9 +75,7 @@ def measure(
     found = {"time": float(ticked.sum()) * recording.dt}
     run = _Run.of(recording, scene)
     found |= _smoothness(run) | _contacts(run)
-    found["path_deviation"] = _deviation(
-        task, run.tips, scene.planned_path if path is None else path, scene.surface
-    )
+    found["path_deviation"] = _deviation(goal, run.tips)
     found["force_integral"] = float(np.linalg.norm(run.forces, axis=1).sum()) * recording.dt
     return found
 
@@ -172,50 +162,15 @@ def _smoothness(run: _Run) -> dict[str, float]:
     return found
 
 
-def _deviation(
-    task: str, tips: FloatArray, path: ArrayLike | PlannedCut | None, surface: vf.Surface
-) -> float:
+def _deviation(goal: Goal, tips: FloatArray) -> float:
     """Mean deviation from the path [m]; NaN: there is none, or the tip never was at it."""
-    if path is None or not len(tips):
+    if not len(tips):
         return np.nan
-    planned = path if isinstance(path, PlannedCut) else None
-    points = np.asarray(path if planned is None else planned.points, dtype=np.float64)
-    if len(points) < 2:
-        return np.nan
-    if task == "targeting":
-        return _away(points, tips)
-    planned = planned or plan(points, surface)
-    if planned is None:
-        return np.nan
-    below = 0.0 if task == "cutting" else TRACED
-    aside = np.abs(cutting.kerf(planned, tips, below=below).deviation)
+    if goal.planned is None:
+        return _away(np.vstack([tips[:1], goal.targets]), tips)
+    below = 0.0 if goal.task == "cutting" else TRACED
+    aside = np.abs(cutting.kerf(goal.planned, tips, below=below).deviation)
     return float(np.nanmean(aside)) if np.isfinite(aside).any() else np.nan
-
-
-def plan(path: FloatArray, surface: vf.Surface) -> PlannedCut | None:
-    """A path (k, 3) on a surface as a planned cut, same frame; None: it has no side.
-
-    As a corridor has it, the cut goes along one direction, that of the surface's depth.
-    """
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    if not steps.all():
-        path = path[np.r_[True, steps > 0.0]]
-        steps = steps[steps > 0.0]
-    normals = surface.normals[[surface.nearest(p)[1] for p in path]]
-    if len(path) < 2:
-        return None
-    try:
-        outward = -vf.cutting_direction(path, normals)
-    except ValueError:  # the surface turns about the path
-        return None
-    stations = np.r_[0.0, np.cumsum(steps)]
-    along = np.gradient(path, stations, axis=0)
-    aside = np.cross(along, outward)
-    if not (np.linalg.norm(aside, axis=1) > 1e-6).all():  # the path runs into the surface
-        return None
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    aside = aside / np.linalg.norm(aside, axis=1, keepdims=True)
-    return PlannedCut(stations, path, along, aside, np.cross(aside, along))
 
 
 def _away(path: FloatArray, tips: FloatArray) -> float:
@@ -260,7 +215,7 @@ def _contacts(run: _Run) -> dict[str, float]:
             gaps = heights(surface, tips, RELEASE + run.options.tip_radius)
             gaps -= run.options.tip_radius
             count, deepest = float(episodes(gaps)), max(0.0, -float(gaps.min()))
-        found[f"contacts:{own.name}"] = found.get(f"contacts:{own.name}", 0.0) + count
+        found[f"contacts {own.name}"] = found.get(f"contacts {own.name}", 0.0) + count
         if own.guarded:
             found["contacts"] += count
             found["penetration"] = float(np.fmax(found["penetration"], deepest))

@@ -1,0 +1,104 @@
+"""A user study: participants, or simulated ones, take it; its data are analysed or deleted."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import dataclass
+
+from app.kinds import SEEDS, Listed, Maybe, Path, Text, Whole
+from app.options import Checked, like, option
+from app.settings import Options
+from app.studies.people.reading import BUILT_IN
+
+PROGRAM = "vf-sandbox user-study"
+MISSING = "pip install 'vf-sandbox[experiments,study]'"
+_PROTOCOL = f"A protocol: {', '.join(BUILT_IN)}; or a TOML file."
+
+
+@dataclass(frozen=True)
+class Serve(Checked):
+    """Let people take a study: a page where they enter their code, a session of their own each.
+
+    As many at once as there are cores for a control loop each. Who comes back with the same code
+    goes on where they were.
+    """
+
+    protocol: str = option(Text(4096), about=_PROTOCOL, positional=True)
+    out: pathlib.Path = option(Path(), about="Folder of the study; an earlier one goes on.")
+    host: str = like(Options, "host")
+    port: int = like(Options, "port")
+    open: bool = like(Options, "open")
+
+
+@dataclass(frozen=True)
+class Simulate(Checked):
+    """Let simulated operators take a study, faster than real time.
+
+    They go through the same sitting and the same session as people do. An earlier, interrupted
+    simulation in the same folder goes on.
+    """
+
+    protocol: str = option(Text(4096), about=_PROTOCOL, positional=True)
+    out: pathlib.Path = option(Path(), about="Folder of the study; an earlier one goes on.")
+    participants: int = option(Whole(1, 10_000), 24, "How many.")
+    effect: tuple[str, ...] | None = option(
+        Maybe(Listed(Text(100))), None,
+        "By how much the errors of the operators differ in a condition, such as fixture=0.5: half "
+        "of those elsewhere. Several are separated by commas.",
+    )  # fmt: skip
+    seed: int = option(Whole(*SEEDS), 0, "Of the operators, beside the protocol's.")
+    workers: int = option(Whole(0, 1000), 0, "Processes; 0: one per core.")
+
+
+@dataclass(frozen=True)
+class Analyse(Checked):
+    """Write tables and a report about the data of a study."""
+
+    folder: pathlib.Path = option(Path(), about="Folder of the study.", positional=True)
+
+
+@dataclass(frozen=True)
+class Delete(Checked):
+    """Remove everything that is kept of a participant."""
+
+    folder: pathlib.Path = option(Path(), about="Folder of the study.", positional=True)
+    code: str = option(Text(24), about="The participant's code.", positional=True)
+
+
+def _serve(options: Serve) -> int:
+    from app.studies.people.serving import serve
+
+    return serve(options.protocol, options.out, options.host, options.port, options.open)
+
+
+def _simulate(options: Simulate) -> int:
+    from app.studies.people.simulation import simulate
+
+    return simulate(
+        options.protocol, options.out, options.participants, options.effect or (), options.seed,
+        options.workers,
+    )  # fmt: skip
+
+
+def _analyse(options: Analyse) -> int:
+    from importlib import import_module
+
+    return int(import_module("app.studies.people.analysis").analyse(options.folder))
+
+
+def _delete(options: Delete) -> int:
+    from app.console import console
+    from app.studies.people.folder import Study
+
+    study = Study.open(options.folder)
+    study.delete(options.code)
+    console().print(f"Deleted all data of {options.code}. Make the reports of this study again.")
+    return 0
+
+
+KINDS = {
+    "serve": (Serve, _serve),
+    "simulate": (Simulate, _simulate),
+    "analyse": (Analyse, _analyse),
+    "delete": (Delete, _delete),
+}
