@@ -106,20 +106,15 @@ def _simulate(options: Simulate) -> int:
 
 
 def _analyse(options: Analyse) -> int:
-    from importlib import import_module
+    from app.studies.people.analysis import analyse
 
-    return int(import_module("app.studies.people.analysis").analyse(options.folder))
+    return analyse(options.folder)
 
 
 def _delete(options: Delete) -> int:
-    from app.studies.people.folder import Study
+    from app.studies.people.analysis import delete
 
-    study = Study.open(options.folder)
-    study.delete(options.code)
-    new_console().print(
-        f"Deleted all data of {options.code}. Make the reports of this study again."
-    )
-    return 0
+    return delete(options.folder, options.code)
 
 
 KINDS = {

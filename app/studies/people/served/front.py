@@ -95,6 +95,7 @@ class _Handler(BaseHTTPRequestHandler):
     """One request."""
 
     front: Front
+    _cookies: list[str]  # to be set by the answer
     protocol_version = "HTTP/1.1"
     timeout = 20.0
     server_version, sys_version = "vf-sandbox", ""
@@ -229,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _allowed(self) -> bool:
         """Whether host, origin, token and rate are as the page's guard wants them."""
-        self._cookies: list[str] = []
+        self._cookies = []
         request = Request(self.path, Headers(self.headers.items()))
         refusal = self.front.access.refusal(request)
         if refusal is not None:

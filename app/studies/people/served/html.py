@@ -43,7 +43,7 @@ footer a { color: inherit; }
 RATED = {
     "mental": (
         "Mental demand",
-        "How much thinking, deciding and looking was needed?",
+        "How much thinking and deciding was needed?",
         "Low",
         "High",
     ),

@@ -181,9 +181,10 @@ class Room:
     def _keep(self, progress: Progress) -> None:
         end = "Done" if progress.completed else "Time is over"
         self.page.tell(end, "One moment: this is being kept.")
+        measures = measure(self._recording, progress.goal, self._session.scene)
         self.sitting.finish(
             self._number, started=self._started, duration=progress.time,
-            completed=progress.completed, measures=measure(self._recording, progress.goal),
+            completed=progress.completed, measures=measures,
         )  # fmt: skip
 
     def _where(self, planned: Planned) -> str:

@@ -186,7 +186,7 @@ def do(
     clock.advance(watch.time)
     sitting.finish(
         number, started=started, duration=watch.time, completed=watch.completed,
-        measures=measure(recording, goal),
+        measures=measure(recording, goal, session.scene),
     )  # fmt: skip
 
 
