@@ -5,10 +5,16 @@ from __future__ import annotations
 import pathlib
 from dataclasses import dataclass
 
+from rich.markup import escape
+
+from app.console import console as new_console
+from app.console import count
+from app.interrupts import interrupts
 from app.kinds import SEEDS, Listed, Maybe, Path, Text, Whole
 from app.options import Checked, like, option
 from app.settings import Options
 from app.studies.people.reading import BUILT_IN
+from app.words import OptionError
 
 PROGRAM = "vf-sandbox user-study"
 MISSING = "pip install 'vf-sandbox[experiments,study]'"
@@ -66,13 +72,32 @@ class Delete(Checked):
 
 
 def _serve(options: Serve) -> int:
-    from app.studies.people.serving import serve
+    from app.serving import bind_problem, open_browser
+    from app.studies.people.served.front import Front
 
-    return serve(options.protocol, options.out, options.host, options.port, options.open)
+    if problem := bind_problem(options.host, options.port):
+        raise OptionError(problem)
+    front = Front(options.out, options.protocol, options.host, options.port)
+    out = new_console()
+    try:
+        with interrupts() as wait:
+            out.print(
+                f"“{escape(front.study.protocol.name)}” in {escape(str(options.out))}, "
+                f"{count(front.places.most, 'participant')} at once (one per core).\n"
+                f"Open [bold]{escape(front.url)}[/] (Ctrl-C ends)",
+                soft_wrap=True,
+            )
+            if options.open:
+                open_browser(front.url, out)
+            wait()
+            out.print("Closing.")
+    finally:
+        front.close()
+    return 0
 
 
 def _simulate(options: Simulate) -> int:
-    from app.studies.people.simulation import simulate
+    from app.studies.people.simulated.taking import simulate
 
     return simulate(
         options.protocol, options.out, options.participants, options.effect or (), options.seed,
@@ -81,19 +106,15 @@ def _simulate(options: Simulate) -> int:
 
 
 def _analyse(options: Analyse) -> int:
-    from importlib import import_module
+    from app.studies.people.analysis import analyse
 
-    return int(import_module("app.studies.people.analysis").analyse(options.folder))
+    return analyse(options.folder)
 
 
 def _delete(options: Delete) -> int:
-    from app.console import console
-    from app.studies.people.folder import Study
+    from app.studies.people.analysis import delete
 
-    study = Study.open(options.folder)
-    study.delete(options.code)
-    console().print(f"Deleted all data of {options.code}. Make the reports of this study again.")
-    return 0
+    return delete(options.folder, options.code)
 
 
 KINDS = {

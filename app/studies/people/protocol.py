@@ -77,6 +77,8 @@ class Bounds(Kind):
 
     def from_json(self, value: Any) -> dict[str, float]:
         found = super().from_json(value)
+        for key in found:
+            OneOf("measure", BOUNDED).check("until", key)
         length = Length(0.0, 1.0)
         return {
             key: length.from_json(bound) if key in LENGTHS else Number(0.0, 1e6).from_json(bound)

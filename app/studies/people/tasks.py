@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import meshes
 from app.scene.scene import Scene
+from app.session import LIVE, Session
 from app.settings import Options
 from app.structure import Structure
 from app.studies.experiments.site import THICKNESS, PlannedCut, planned
@@ -24,10 +25,7 @@ KEPT = (
     "sigmoid sinus", "dura",
 )  # fmt: skip
 """The structures that are guarded in targeting."""
-HOLD = 0.3  # the tip must stay so long at a target [s]
-TOUCH = 1e-3  # of a target, from its middle [m]
-NEAR = 1.5e-3  # of a path: the part of it that is this near to the tip is done [m]
-BESIDE = (1.5e-3, 3.5e-3)  # of targets, from the nerve's surface [m]
+BESIDE = (2e-3, 4e-3)  # of targets, from the nerve's surface [m]
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,23 @@ def options(protocol: Protocol, task: Task, condition: Condition) -> Options:
     inside = Structure("craniotomy", INSIDE, INSIDE, margin=condition.margin)
     corridor = None if condition.rule == "off" else condition.corridor
     mesh = "skull-precut" if task.task == "tracing" else "skull"
-    return Options(mesh=mesh, structures=(inside,), corridor=corridor, **common)
+    return Options(mesh=mesh, opacity=0.45, structures=(inside,), corridor=corridor, **common)
+
+
+def adopt(session: Session, options: Options) -> None:
+    """Bring a session to these settings, which are of `options`; a new scene takes seconds.
+
+    Raises:
+        Refused: an operation is in progress.
+    """
+    now = session.options
+    if (options.mesh, options.robot) != (now.mesh, now.robot):
+        changed = {name: getattr(options, name) for name in (*LIVE, "structures")}
+        session.change(mesh=options.mesh, robot=options.robot, **changed)
+        return
+    session.set(**{name: getattr(options, name) for name in LIVE})
+    for number, own in enumerate(options.structures, start=1):
+        session.set_structure(number, margin=own.margin)
 
 
 def goal(task: Task, seed: int, scene: Scene) -> Goal:
