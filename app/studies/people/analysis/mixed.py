@@ -127,9 +127,15 @@ def fit(task: str, quantity: Quantity, rows: Sequence[Row], conditions: Sequence
         result, caution = _fitted(values / spread, fixed, rows, people if repeated else [])
     except (ValueError, np.linalg.LinAlgError) as error:
         return _without(blank, f"no fit ({' '.join(str(error).split())})")
+    variances = [float(np.asarray(result.cov_re).squeeze())]
+    variances += [float(result.vcomp[0]) if repeated else 0.0, float(result.scale)]
+    own, here, trial = (max(v, 0.0) * spread**2 for v in variances)
     beta = np.asarray(result.fe_params) * spread
-    covariance = np.asarray(result.cov_params())[: len(beta), : len(beta)] * spread**2
-    errors = np.sqrt(np.diag(covariance))
+    try:
+        covariance = np.linalg.inv(_information(fixed, rows, own, here, trial))
+    except np.linalg.LinAlgError:
+        return _without(blank, "no fit (the trials of a participant do not vary)")
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if not np.isfinite(errors).all() or not (errors > 0.0).all():
         return _without(blank, "no fit (the errors of the effects are not defined)")
     df = max((len(people) - 1) * (len(names) - 1), 1)
@@ -141,12 +147,10 @@ def fit(task: str, quantity: Quantity, rows: Sequence[Row], conditions: Sequence
     )  # fmt: skip
     some = slice(1, len(names))
     f = float(beta[some] @ np.linalg.solve(covariance[some, some], beta[some])) / (len(names) - 1)
-    variances = [float(np.asarray(result.cov_re).squeeze())]
-    variances += [float(result.vcomp[0]) if repeated else math.nan, float(result.scale)]
     return Mixed(
         task, quantity, len(rows), len(people), effects, f, (len(names) - 1, df),
         float(stats.f.sf(f, len(names) - 1, df)),
-        tuple(math.sqrt(max(v, 0.0)) * spread if v == v else v for v in variances),  # type: ignore[arg-type]
+        (math.sqrt(own), math.sqrt(here) if repeated else math.nan, math.sqrt(trial)),
         caution,
     )  # fmt: skip
 
@@ -166,6 +170,22 @@ def _fixed(rows: Sequence[Row], names: Sequence[str]) -> tuple[FloatArray, list[
             columns.append(values - values.mean())
             labels.append(label)
     return np.stack(columns, axis=1), labels
+
+
+def _information(
+    fixed: FloatArray, rows: Sequence[Row], own: float, here: float, trial: float
+) -> FloatArray:
+    """Of the fixed effects (k, k), from the variances: Xᵀ V⁻¹ X.
+
+    That of statsmodels is by differences of the likelihood, which fail where a variance is 0.
+    """
+    found = np.zeros((fixed.shape[1],) * 2)
+    for person in {row.participant for row in rows}:
+        mine = np.array([row.participant == person for row in rows])
+        names = np.array([row.condition for row in rows])[mine]
+        v = own + here * (names[:, None] == names) + trial * np.eye(len(names))
+        found += fixed[mine].T @ np.linalg.solve(v, fixed[mine])
+    return found
 
 
 def _fitted(values: FloatArray, fixed: FloatArray, rows: Sequence[Row], people: Sequence[str]):  # type: ignore[no-untyped-def]

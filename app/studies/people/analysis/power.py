@@ -19,7 +19,8 @@ def power(effect: float, n: int, level: float = SIGNIFICANT) -> float:
     limit = float(special.stdtrit(df, 1.0 - 0.5 * level))
     if shift > limit + 40.0:
         return 1.0
-    low, high = special.nctdtr(df, shift, [-limit, limit])
+    # What is too small for its series is not a number.
+    low, high = np.nan_to_num(special.nctdtr(df, shift, [-limit, limit]))
     return float(low + 1.0 - high)
 
 

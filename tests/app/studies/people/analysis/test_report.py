@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from app.studies.people.analysis import analyse, delete
+from app.studies.people.analysis import analyse, delete, figures
 from app.studies.people.analysis.data import read
 from app.words import OptionError
 from tests.support.user_studies import change, drop, interrupt, make
@@ -124,6 +124,14 @@ def test_parquet_has_the_same_as_csv(whole: Path) -> None:
         assert texts == table(whole, name)
 
 
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports without figures, which take a second each."""
+    for name in ("people", "workload", "forest", "learning"):
+        monkeypatch.setattr(figures, name, lambda *_: "<svg></svg>")
+
+
+@pytest.mark.usefixtures("quick")
 def test_one_participant_has_a_report_and_no_test(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -134,6 +142,7 @@ def test_one_participant_has_a_report_and_no_test(
     assert "No comparison was possible" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("quick")
 def test_equal_values_have_a_report_and_no_test(tmp_path: Path) -> None:
     make(tmp_path, 4, repetitions=2)
     for file in tmp_path.glob("participants/*/trials/*.json"):
@@ -146,6 +155,7 @@ def test_equal_values_have_a_report_and_no_test(tmp_path: Path) -> None:
     assert "all values are equal" in text
 
 
+@pytest.mark.usefixtures("quick")
 def test_without_the_extra_the_rest_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,13 +171,18 @@ def test_without_the_extra_the_rest_is_there(
     assert "No mixed models: statsmodels is not installed" in said
     assert "statsmodels is not installed: pip install" in shown(tmp_path).text
     assert {p.suffix for p in (tmp_path / "analysis").iterdir()} == {".csv", ".html"}
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr(figures, "forest", _missing)
     (tmp_path / "analysis/report.html").unlink()
     assert analyse(tmp_path) == 0
     assert not (tmp_path / "analysis/report.html").exists()
     assert "No report: matplotlib" in capsys.readouterr().out
 
 
+def _missing(*_: object) -> str:
+    raise ImportError("No module named 'matplotlib'")
+
+
+@pytest.mark.usefixtures("quick")
 def test_who_is_deleted_is_nowhere_any_more(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
