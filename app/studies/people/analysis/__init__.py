@@ -78,6 +78,7 @@ def delete(folder: Path, code: str) -> int:
             f"{', '.join(str(path) for path in removed.derived)}. "
             f"Make them again: vf-sandbox user-study analyse {folder}",
             markup=False,
+            soft_wrap=True,
         )
     out.print("Copies elsewhere, and backups, are yours to delete.")
     return 0
