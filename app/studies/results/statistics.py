@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 FloatArray = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def effect_interval(effect: float, n: int) -> tuple[float, float]:
     def bound(share: float) -> float:
         def miss(noncentrality: float) -> float:
             # Beyond the range of its series the distribution function is 0 or 1.
-            value = stats.nct.cdf(t, df, noncentrality)
+            value = special.nctdtr(df, noncentrality, t)
             return (value if np.isfinite(value) else float(noncentrality < t)) - share
 
         return float(optimize.brentq(miss, t - reach, t + reach, xtol=1e-9)) / float(np.sqrt(n))

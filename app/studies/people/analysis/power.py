@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from app.studies.results.statistics import SIGNIFICANT, Comparison
 
@@ -16,10 +16,11 @@ MOST = 10_000  # participants
 def power(effect: float, n: int, level: float = SIGNIFICANT) -> float:
     """The probability that a two-sided paired t-test of n pairs finds an effect d_z."""
     df, shift = n - 1, abs(effect) * math.sqrt(n)
-    limit = float(stats.t.ppf(1.0 - 0.5 * level, df))
+    limit = float(special.stdtrit(df, 1.0 - 0.5 * level))
     if shift > limit + 40.0:
         return 1.0
-    return float(stats.nct.sf(limit, df, shift) + stats.nct.cdf(-limit, df, shift))
+    low, high = special.nctdtr(df, shift, [-limit, limit])
+    return float(low + 1.0 - high)
 
 
 def needed(effect: float, wanted: float = WANTED, level: float = SIGNIFICANT) -> int | None:

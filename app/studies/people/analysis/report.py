@@ -19,6 +19,8 @@ _STYLE = (
     "h2{margin-top:2.2em;border-bottom:2px solid #0072b2;padding-bottom:.15em}h3{margin-top:1.6em}"
     ".w{overflow-x:auto}.f li{margin:.3em 0}.n{color:#555;font-size:13px}"
     "nav a{margin-right:1em}tr:nth-child(even) td{background:#f7f9fb}"
+    "body{max-width:1080px}td,th{white-space:nowrap}.p td{white-space:normal}"
+    "summary{cursor:pointer}"
 )
 _SECTIONS = (
     ("found", "Findings"), ("people", "Participants"), ("tasks", "Tasks"), ("tlx", "Workload"),
@@ -81,7 +83,8 @@ def _people(found: Analysis) -> str:
     heading = ("code", "row of the square", "order", "stage", "trials", "in training",
                "goal not reached", "begun again", "ratings")  # fmt: skip
     missing = [*words.incomplete(data), *data.problems]
-    return _wide(html.table(heading, rows)) + html.said(missing, "c")
+    table = f"<details><summary>Each participant</summary>{_wide(html.table(heading, rows))}"
+    return html.said(missing, "c") + table + "</details>"
 
 
 def _tasks(found: Analysis) -> str:

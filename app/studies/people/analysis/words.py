@@ -97,8 +97,8 @@ def about(data: Data) -> list[str]:
     given_up = sum(not one.completed for p in data.people for one in p.measured)
     if given_up:
         said.append(
-            f"{count(given_up, 'trial')} ended before the goal was reached. They count like the "
-            "others; their times are shorter than what the task would have taken."
+            f"Ended before the goal was reached: {count(given_up, 'trial')}. Such trials count "
+            "like the others; their times are shorter than what the task would have taken."
         )
     holes = [
         f"{missing} of {quantity.label} in {task}"
