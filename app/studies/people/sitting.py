@@ -160,11 +160,9 @@ class Sitting:
     def rest_left(self) -> float:
         """How long the rest still takes at least [s]."""
         since = self._content["rest_from"]
-        if self.stage != "rest":
+        if self.stage != "rest" or since is None:
             return 0.0
         rest = self.study.protocol.rest
-        if since is None:  # killed between the rating and this
-            return rest
         gone = (self._clock() - datetime.fromisoformat(since)) / timedelta(seconds=1)
         return min(max(rest - gone, 0.0), rest)
 
@@ -260,9 +258,11 @@ class Sitting:
                 if not 0.0 <= value <= 100.0:
                     raise Refused(f"{name}: {value:g} is not from 0 to 100")
                 found[name] = value
+            # First, as a process that is killed between the two does not come back here.
+            self._keep(rest_from=self._now())
             self.files.keep_tlx(self._tlx | {str(self.block): found})
             self.look()
-            self._keep(rest_from=self._now())
+            self._keep()
 
     def rested(self) -> None:
         """Go on after the rest.

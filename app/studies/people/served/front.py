@@ -72,7 +72,7 @@ class Front:
         self._server = ThreadingHTTPServer((host, port), handler)
         self.port = int(self._server.server_address[1])
         self._thread = threading.Thread(
-            target=self._server.serve_forever, name="front", daemon=True
+            target=self._server.serve_forever, args=(0.1,), name="front", daemon=True
         )
         self._thread.start()
 

@@ -28,7 +28,7 @@ from app.studies.people.plan import Planned
 from app.studies.people.progress import Progress
 from app.studies.people.served.page import TrialPage
 from app.studies.people.sitting import OVER, Sitting, utc
-from app.words import Refused
+from app.words import OptionError, Refused
 
 log = logging.getLogger(__name__)
 
@@ -97,12 +97,9 @@ class Room:
                 self.seen = time.monotonic()
             try:
                 stage = self.sitting.look()
-            except ValueError:  # deleted meanwhile
-                return
-            if stage in OVER or time.monotonic() - self.seen > PATIENCE:
-                return
-            planned = self.sitting.trial
-            try:
+                if stage in OVER or time.monotonic() - self.seen > PATIENCE:
+                    return
+                planned = self.sitting.trial
                 if planned is None:
                     self._between()
                 else:
@@ -110,6 +107,8 @@ class Room:
             except Refused as reason:
                 log.warning("%s", reason)
                 self._stop.wait(1.0)
+            except OptionError:  # the participant's data were deleted meanwhile
+                return
 
     def _between(self) -> None:
         self.page.clear()
@@ -139,11 +138,13 @@ class Room:
         while not page.begin.wait(0.5):
             if page.watched:
                 self.seen = time.monotonic()
-            if self.sitting.look() not in ("training", "trial"):
+            self.sitting.look()
+            if self.sitting.trial != planned:  # stopped, or done by another process
                 return
             if time.monotonic() - self.seen > PATIENCE:
                 return
-        if self._stop.is_set():
+        self.sitting.look()
+        if self._stop.is_set() or self.sitting.trial != planned:
             return
         page.tell(title, sentence, self._where(planned))
         if self._done(progress):
