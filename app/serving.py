@@ -92,7 +92,7 @@ def attend(page: Page, console: Console, ready: str, show: bool = False, more: s
         if page.warning:
             console.print(f"  [yellow]![/] {escape(page.warning)}", soft_wrap=True)
         if show:
-            _show(page.url, console)
+            open_browser(page.url, console)
         wait()
         console.print("Closing.")
 
@@ -125,7 +125,7 @@ def bind_problem(host: str, port: int) -> str | None:
     return None
 
 
-def _show(url: str, console: Console) -> None:
+def open_browser(url: str, console: Console) -> None:
     """Open the address in the user's browser; in a thread, as `webbrowser.open` may block."""
 
     def browse() -> None:

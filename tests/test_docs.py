@@ -204,7 +204,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=named)
 def test_commands_exist(document: Path) -> None:
-    for word in re.findall(r"vf-sandbox ([a-z]+)\b", document.read_text()):
+    for word in re.findall(r"vf-sandbox ([a-z]+(?:-[a-z]+)*)\b", document.read_text()):
         assert word in COMMANDS, f"vf-sandbox {word}"
 
 

@@ -31,6 +31,7 @@ COMMANDS = {
     "replay": "Repeat a recorded session without page and clock, compare it bit for bit, write it "
     "as CSV or MCAP.",
     "study": "Many simulated trials over a grid of operators, skulls, rules and noise, on Dask.",
+    "user-study": "A study with people, or simulated ones: serve, simulate, analyse, delete.",
     "verify": "Attack the fixtures with adversarial hands and judge every step by an independent "
     "oracle.",
 }
@@ -40,7 +41,7 @@ COMMANDS = {
 def call(command: str, words: list[str]) -> int:
     """Run one of `COMMANDS` with the words after its name; returns the exit code."""
     program = f"vf-sandbox {command}"
-    module = import_module(f"app.commands.{command}")
+    module = import_module(f"app.commands.{command.replace('-', '_')}")
 
     def work() -> int:
         called, rest, name = program, words, ""

@@ -129,6 +129,16 @@ class ControlLoop(Host):
     def start(self) -> None:
         self._thread.start()
 
+    def tick(self) -> Telemetry:
+        """Do the next tick at once, on this thread, instead of starting the loop.
+
+        Raises:
+            Refused: it is started: its ticks have a clock.
+        """
+        if self.alive:
+            raise Refused("the control loop runs by itself")
+        return self._advance(None)[0]
+
     def close(self) -> None:
         self._stop.set()
         if self._thread.is_alive():
@@ -169,7 +179,7 @@ class ControlLoop(Host):
                 self._fail("an error of the control loop")
 
     def _loop(self) -> None:
-        engine, clock, dt, devices = self.engine, self.clock, self.dt, self._devices
+        clock, dt = self.clock, self.dt
         telemetry: Telemetry | None = None
         now = time.perf_counter
         spin = min(SPIN, 0.1 * dt)
@@ -182,22 +192,7 @@ class ControlLoop(Host):
             started = now()
             while started < deadline:
                 started = now()
-            orders = self.orders.get()
-            assert orders is not None
-            tape = self._tape
-            if tape is not None and not tape.begun:
-                tape.begin(engine.seen, engine.state)
-            if devices is not None:
-                orders = devices.before(orders, telemetry)
-            telemetry, ticked = engine.advance(orders, clock.stats)
-            if devices is not None:
-                devices.after(telemetry, ticked)
-                self.devices = devices.report
-            self.telemetry.put(telemetry)
-            if tape is not None:
-                tape.take(orders, telemetry, ticked)
-            if self._watch is not None:
-                self._watch(orders, telemetry, ticked)
+            telemetry, ticked = self._advance(telemetry)
             ended = now()
             late = deadline + dt
             if ticked:
@@ -208,6 +203,26 @@ class ControlLoop(Host):
             deadline = late if ended <= late else ended
             if ended > late:
                 time.sleep(0)  # release the interpreter lock even when every tick is late
+
+    def _advance(self, before: Telemetry | None) -> tuple[Telemetry, bool]:
+        """A tick, with all who are told of it; returns its telemetry, and whether it ticked."""
+        engine, devices, tape = self.engine, self._devices, self._tape
+        orders = self.orders.get()
+        assert orders is not None
+        if tape is not None and not tape.begun:
+            tape.begin(engine.seen, engine.state)
+        if devices is not None:
+            orders = devices.before(orders, before)
+        telemetry, ticked = engine.advance(orders, self.clock.stats)
+        if devices is not None:
+            devices.after(telemetry, ticked)
+            self.devices = devices.report
+        self.telemetry.put(telemetry)
+        if tape is not None:
+            tape.take(orders, telemetry, ticked)
+        if self._watch is not None:
+            self._watch(orders, telemetry, ticked)
+        return telemetry, ticked
 
 
 class _realtime_interpreter(contextlib.ContextDecorator):

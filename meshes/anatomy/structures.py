@@ -16,14 +16,14 @@ from meshes import frames
 from meshes.anatomy.colours import Colour
 from meshes.anatomy.maps import Label, Part, Progress, is_map, read_map
 from meshes.anatomy.smooth import label_surface
-from meshes.builtin import temporal_bone
+from meshes.builtin import craniotomy, temporal_bone
 from meshes.errors import MeshError
 from meshes.formats import FORMATS, kind
 from meshes.load import read
 from meshes.volume.files import FORMATS as VOLUMES
 from meshes.volume.surfaces import MOST_TRIANGLES
 
-SETS = {temporal_bone.NAME: temporal_bone.members}
+SETS = {one.NAME: one.members for one in (temporal_bone, craniotomy)}
 """Built-in sets of structures by name."""
 
 _MOST_LISTED = 20

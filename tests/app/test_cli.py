@@ -105,7 +105,8 @@ def test_help_shows_the_defaults() -> None:
     assert result.returncode == 0
     for word in ("--mesh", "skull", "--radius", "5mm", "--port", "8080", "127.0.0.1"):
         assert word in result.stdout
-    modules = {path.stem for path in (ROOT / "app" / "commands").glob("[a-z]*.py")}
+    files = (ROOT / "app" / "commands").glob("[a-z]*.py")
+    modules = {path.stem.replace("_", "-") for path in files}
     assert set(COMMANDS) == modules
     for command in COMMANDS:
         assert re.search(rf"^  {command} +[A-Z]", result.stdout, re.MULTILINE), command

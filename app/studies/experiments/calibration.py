@@ -85,9 +85,8 @@ def reached(operator: Operator, trials: int, seed: int) -> dict[str, float]:
             operator, planned, start, IdealArm(), assisted=False,
             stroke=operator.tracing_stroke, rate=TRACING_RATE, rng=rng,
         )  # fmt: skip
-        every = round(TRACING_RATE / 100.0)
-        speed = smoothness.speed_of(trace.tips[every - 1 :: every], 100.0)
-        smooth.append(smoothness.sal(speed, 100.0))
+        sampled, rate = smoothness.sampled(trace.tips, TRACING_RATE)
+        smooth.append(smoothness.sal(smoothness.speed_of(sampled, rate), rate))
     values = (
         1e3 * np.nanmean(penetration), 1e3 * np.nanstd(penetration),
         1e3 * np.nanmean(deviation), 1e3 * np.nanstd(deviation),

@@ -62,7 +62,9 @@ class Kerf:
         return np.asarray(-self.bottom)
 
 
-def kerf(planned: PlannedCut, tips: ArrayLike, blade: Blade | None = None) -> Kerf:
+def kerf(
+    planned: PlannedCut, tips: ArrayLike, blade: Blade | None = None, below: float = 0.0
+) -> Kerf:
     """Remove the bone that the blade swept; measured at every `INTERVAL` along the planned cut.
 
     Every cross-section is cut by the part of the tip's path that is within half the blade's
@@ -72,6 +74,7 @@ def kerf(planned: PlannedCut, tips: ArrayLike, blade: Blade | None = None) -> Ke
         planned: the planned cut at the true pose of the bone.
         tips: (n, 3) positions of the tip, same frame [m].
         blade: None: the default one.
+        below: height over the outer surface up to which the path counts [m]; 0: where it cuts.
     """
     blade = blade or Blade()
     count = round(planned.length / INTERVAL - 0.49)
@@ -82,7 +85,7 @@ def kerf(planned: PlannedCut, tips: ArrayLike, blade: Blade | None = None) -> Ke
         origin, along, aside, outward = planned.at(mark)
         p = (points - origin) @ np.stack([along, aside, outward], axis=1)  # (n, 3)
         cut = _between(p, 0.5 * blade.thickness)
-        cut = cut[cut[:, 2] < 0.0]
+        cut = cut[cut[:, 2] < below]
         if not len(cut):
             continue
         found[0, k] = cut[:, 1].min() - 0.5 * blade.width

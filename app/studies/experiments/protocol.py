@@ -32,7 +32,6 @@ FloatArray = NDArray[np.float64]
 LONGEST = 1e6  # of simulated or computing time [s]
 RADIUS = 5e-3  # of the motion sphere, as in the paper [m]
 LEAST_NOISE = 1e-6  # with less localisation error nothing is added [m]
-SAMPLED = 100.0  # sampling rate of smoothness and stored trajectories [Hz]
 OPERATOR_SPREAD = 0.15  # log-normal spread of the calibrated values among operators, assumed
 
 
@@ -105,7 +104,8 @@ class Outcome:
         ticks, statuses: of the controller.
         submovements, corrections: of the operator.
         elapsed: time of computation; driving: processor time of controller and operator.
-        trajectory: (m, 4) station, lateral offset, height and time of the tip at `SAMPLED`.
+        trajectory: (m, 4) station, lateral offset, height and time of the tip at
+            `smoothness.SAMPLED`.
     """
 
     trial: Trial = option(Mapping())
@@ -227,15 +227,14 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
         crossings = judge.crossings(meshes.transformed(found.T, vertices), faces, path)
         outside = judge.outside(believed.points, path, trial.width)
     cut = cutting.kerf(truth, done.tips)
-    every = max(round(trial.rate / SAMPLED), 1)
-    sampled = done.tips[every - 1 :: every]
-    speed = smoothness.speed_of(sampled, trial.rate / every)
+    sampled, rate = smoothness.sampled(done.tips, trial.rate)
+    speed = smoothness.speed_of(sampled, rate)
     outcome = Outcome(
         trial=trial,
         duration=done.duration,
         finished=done.finished,
-        sal=smoothness.sal(speed, trial.rate / every),
-        sparc=smoothness.sparc(speed, trial.rate / every),
+        sal=smoothness.sal(speed, rate),
+        sparc=smoothness.sparc(speed, rate),
         fre=found.fre,
         tre=registration.target_error(found, place.T_base_skull, place.planned.points),
         stations=cut.stations,
@@ -252,7 +251,7 @@ def record(trial: Trial, operator: Operator | None = None) -> Recorded:
         corrections=done.corrections,
         elapsed=time.perf_counter() - began,
         driving=driving,
-        trajectory=_along(truth, sampled, trial.rate / every),
+        trajectory=_along(truth, sampled, rate),
     )
     return Recorded(outcome, done, np.concatenate(arm.joints), found.T, truth)
 

@@ -112,12 +112,12 @@ def build(mesh: str = "skull", length: float | None = None) -> Site:
     arm = robots.load("psm")
     neutral = arm.tip(arm.neutral)
     T_base_skull = meshes.Placement().pose(vertices, neutral)
-    planned = _planned(meshes.planned_path(mesh), length)
-    start = meshes.transformed(T_base_skull, planned.points[:1] + 1e-3 * planned.outward[:1])[0]
+    path = planned(meshes.planned_path(mesh), length)
+    start = meshes.transformed(T_base_skull, path.points[:1] + 1e-3 * path.outward[:1])[0]
     directions = np.array(FIDUCIALS)
     return Site(
         mesh=mesh,
-        planned=planned,
+        planned=path,
         inner=skull.endocranium(SEGMENTS[mesh]),
         fiducials=skull.outer_points(directions),
         T_base_skull=T_base_skull,
@@ -126,7 +126,12 @@ def build(mesh: str = "skull", length: float | None = None) -> Site:
     )
 
 
-def _planned(points: FloatArray, length: float | None) -> PlannedCut:
+def planned(points: FloatArray, length: float | None) -> PlannedCut:
+    """A planned cut through points (k, 3) [m], shortened to `length` [m] if given; skull's axes.
+
+    Raises:
+        OptionError: a length that the cut does not have.
+    """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     stations = np.r_[0.0, np.cumsum(steps)]
     if length is not None:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 PADDING = 4  # zero padding to 2^4 times the next power of two
+SAMPLED = 100.0  # sampling rate of the positions [Hz]
 CUTOFF = 20.0  # of SAL [Hz]
 SPARC_CUTOFF = 10.0  # [Hz]
 SPARC_LEVEL = 0.05  # SPARC ends at the last frequency with this share of the largest magnitude
@@ -40,6 +41,15 @@ def sparc(speed: ArrayLike, rate: float) -> float:
     above = np.flatnonzero(v >= SPARC_LEVEL)
     f, v = f[above[0] : above[-1] + 1], v[above[0] : above[-1] + 1]
     return _arc((f - f[0]) / (f[-1] - f[0]), v)
+
+
+def sampled(points: ArrayLike, rate: float) -> tuple[FloatArray, float]:
+    """Positions (n, 3), one a tick at `rate` [Hz], at about `SAMPLED`: (m, 3) and their rate [Hz].
+
+    The last tick of every sample counts, as of telemetry.
+    """
+    every = max(round(rate / SAMPLED), 1)
+    return np.asarray(points, dtype=np.float64)[every - 1 :: every], rate / every
 
 
 def speed_of(points: ArrayLike, rate: float) -> FloatArray:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
 
 from app.studies.experiments.protocol import Outcome
 from app.studies.experiments.site import THICKNESS
-from app.studies.results import analysis
+from app.studies.results import analysis, drawing
 
 COLORS = {False: "#0072b2", True: "#d55e00"}  # Okabe and Ito: off, assisted
 NAMES = {False: "teleoperation", True: "with the fixture"}
@@ -17,7 +16,7 @@ NAMES = {False: "teleoperation", True: "with the fixture"}
 
 def section(outcomes: Sequence[Outcome]) -> str:
     """Figure 10: the tip's path over the skull's cross-section along the cut, as SVG."""
-    figure, axes = _axes(2, (9.0, 5.2), sharex=True)
+    figure, axes = drawing.axes(2, (9.0, 5.2), sharex=True)
     for ax, side in zip(axes, analysis.split(outcomes), strict=True):
         for outcome in side:
             s, _, h, _ = 1e3 * outcome.trajectory.T
@@ -30,12 +29,12 @@ def section(outcomes: Sequence[Outcome]) -> str:
         if side:
             ax.set_title(NAMES[side[0].trial.assisted], fontsize=10)
     axes[-1].set_xlabel("along the cut [mm]; bone shaded, below it what must be spared")
-    return _svg(figure)
+    return drawing.svg(figure)
 
 
 def top(outcomes: Sequence[Outcome], width: float) -> str:
     """Figure 11: the cuts from above, as SVG. `width` of the corridor [m]."""
-    figure, axes = _axes(2, (9.0, 4.4), sharex=True)
+    figure, axes = drawing.axes(2, (9.0, 4.4), sharex=True)
     for ax, side in zip(axes, analysis.split(outcomes), strict=True):
         for outcome in side:
             s, middle = 1e3 * outcome.stations, 1e3 * outcome.deviation
@@ -50,12 +49,12 @@ def top(outcomes: Sequence[Outcome], width: float) -> str:
         if side:
             ax.set_title(NAMES[side[0].trial.assisted], fontsize=10)
     axes[-1].set_xlabel("along the cut [mm]; dashed: the plan, dotted: the corridor")
-    return _svg(figure)
+    return drawing.svg(figure)
 
 
 def boxes(outcomes: Sequence[Outcome]) -> str:
     """Figure 12: box plots of path deviation and penetration at the stations, as SVG."""
-    figure, axes = _axes((1, 2), (9.0, 3.8))
+    figure, axes = drawing.axes((1, 2), (9.0, 3.8))
     off, on = analysis.split(outcomes)
     for ax, values, title in (
         (axes[0], [analysis.deviations(side) for side in (off, on)], "|cutting-path deviation|"),
@@ -70,12 +69,12 @@ def boxes(outcomes: Sequence[Outcome]) -> str:
         ax.set_title(title, fontsize=10)
         ax.set_ylabel("[mm]")
     axes[1].axhline(0.0, color="#555", lw=0.8)
-    return _svg(figure)
+    return drawing.svg(figure)
 
 
 def pairs(without: Sequence[Outcome], with_margins: Sequence[Outcome]) -> str:
     """Deepest point and path deviation of each cut, without and with margins, joined; as SVG."""
-    figure, axes = _axes((1, 2), (9.0, 3.8))
+    figure, axes = drawing.axes((1, 2), (9.0, 3.8))
     for ax, values, title in (
         (axes[0], lambda o: 1e3 * o.deepest, "deepest point beyond the true inner surface"),
         (axes[1], lambda o: analysis.deviations([o]).mean(), "|cutting-path deviation|"),
@@ -88,12 +87,12 @@ def pairs(without: Sequence[Outcome], with_margins: Sequence[Outcome]) -> str:
         ax.set_title(title, fontsize=10)
         ax.set_ylabel("[mm]")
     axes[0].axhline(0.0, color="#555", lw=0.8)
-    return _svg(figure)
+    return drawing.svg(figure)
 
 
 def speeds(outcomes: Sequence[Outcome]) -> str:
     """Spectra of the tip's speed, whose arc length is the smoothness, as SVG."""
-    figure, axes = _axes(1, (9.0, 3.4))
+    figure, axes = drawing.axes(1, (9.0, 3.4))
     for outcome in outcomes:
         points, time = outcome.trajectory[:, :3], outcome.trajectory[:, 3]
         rate = 1.0 / (time[1] - time[0])
@@ -106,26 +105,4 @@ def speeds(outcomes: Sequence[Outcome]) -> str:
     axes[0].set_ylim(1e-4, 1.5)
     axes[0].set_xlabel("frequency [Hz]")
     axes[0].set_ylabel("|V(f)| / |V(0)|")
-    return _svg(figure)
-
-
-def _axes(layout, size, **options):  # type: ignore[no-untyped-def]
-    # Without pyplot, which has global state and needs a window system.
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasSVG(figure)
-    rows, columns = layout if isinstance(layout, tuple) else (layout, 1)
-    axes = figure.subplots(rows, columns, squeeze=False, **options).ravel()
-    for ax in axes:
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.tick_params(labelsize=8)
-    return figure, axes
-
-
-def _svg(figure) -> str:  # type: ignore[no-untyped-def]
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    text = out.getvalue()
-    return text[text.index("<svg") :]
+    return drawing.svg(figure)

@@ -7,14 +7,13 @@ where the registration puts it.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from scipy.stats import DegenerateDataWarning, binomtest
+from scipy.stats import binomtest
 
 from app.console import Column, count, show_table
 from app.studies.experiments.protocol import Outcome
@@ -66,10 +65,7 @@ def compared(before: Sequence[float], after: Sequence[float]) -> Comparison | No
     """The paired comparison; None where all pairs differ alike, or there are fewer than two."""
     if len(before) < 2 or np.ptp(np.subtract(after, before)) == 0.0:
         return None
-    with warnings.catch_warnings():
-        # Of the effect's interval, which is not reported: most cuts have no injury at all.
-        warnings.simplefilter("ignore", DegenerateDataWarning)
-        return paired(before, after)
+    return paired(before, after)
 
 
 def verdicts(outcomes: Sequence[Outcome]) -> list[str]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import html
 import json
 from collections.abc import Callable, Sequence
+from html import escape as escaped
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from app.console import Column, count, show_table
 from app.studies.experiments.description import Trial
 from app.studies.experiments.operators import Operator
 from app.studies.experiments.protocol import Outcome
-from app.studies.results import analysis
+from app.studies.results import analysis, html
 from app.studies.results.analysis import Line
 from app.studies.results.published import Value
 
@@ -104,32 +104,19 @@ def page(
     trial: Trial,
 ) -> str:
     """A report as one page of HTML: a table, sentences, and figures with their titles as SVG."""
-    head = "".join(f"<th>{html.escape(c)}</th>" for c in columns)
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in cells
-    )
-    parameters = "".join(
-        f"<tr><td>{html.escape(f.name)}</td><td>{f.default:.4g} {html.escape(f.metadata['unit'])}"
-        f"</td><td>{html.escape(f.metadata['about'])}</td>"
-        f"<td>{html.escape(f.metadata['source'])}</td></tr>"
+    parameters = [
+        (f.name, f"{f.default:.4g} {f.metadata['unit']}", f.metadata["about"], f.metadata["source"])
         for f in dataclasses.fields(Operator)
-    )
-    said = "".join(f"<p>{html.escape(line)}</p>" for line in verdicts)
-    drawn = "".join(f"<h2>{html.escape(name)}</h2>{svg}" for name, svg in pictures)
+    ]
+    drawn = "".join(f"<h2>{escaped(name)}</h2>{svg}" for name, svg in pictures)
     first = json.dumps(dataclasses.asdict(trial))
-    return (
-        "<!doctype html><html lang='en'><meta charset='utf-8'>"
-        f"<title>{html.escape(title)}</title><style>"
-        "body{font:15px/1.45 system-ui,sans-serif;max-width:960px;margin:2em auto;padding:0 1em}"
-        "table{border-collapse:collapse;font-size:13px}td,th{padding:.25em .6em;text-align:right;"
-        "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}"
-        ".p td{text-align:left}svg{max-width:100%;height:auto}.c{background:#fff3e0;padding:.6em}"
-        f"</style><h1>{html.escape(title)}</h1><p class='c'>{html.escape(CAVEAT)}</p>"
-        f"<table><tr>{head}</tr>{rows}</table>{said}{drawn}"
-        "<h2>The operator</h2><table class='p'><tr><th>parameter</th><th>value</th><th>what</th>"
-        f"<th>source</th></tr>{parameters}</table>"
-        f"<p>First trial: <code>{html.escape(first)}</code></p></html>\n"
-    )
+    return html.document(
+        title,
+        html.said([CAVEAT], "c") + html.table(columns, cells) + html.said(verdicts) + drawn
+        + "<h2>The operator</h2>"
+        + html.table(("parameter", "value", "what", "source"), parameters, "p")
+        + f"<p>First trial: <code>{escaped(first)}</code></p>",
+    )  # fmt: skip
 
 
 def _title(outcomes: Sequence[Outcome]) -> str:

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy import special
 
-from app.studies.results.statistics import hedges, independent_values, paired, welch
+from app.studies.results.statistics import (
+    effect_interval,
+    hedges,
+    independent_values,
+    paired,
+    welch,
+)
 
 RNG = np.random.default_rng(5)
 A, B = RNG.normal(1.0, 0.4, 30), RNG.normal(0.7, 0.2, 24)
@@ -34,6 +40,40 @@ def test_pairs_by_their_formula() -> None:
     assert (c.t, c.degrees, c.p) == pytest.approx((t, 11, two_sided(t, 11)), rel=1e-9)
     assert c.effect == pytest.approx(d.mean() / d.std(ddof=1))
     assert welch(a, b).p > c.p  # the pairs are what makes it significant
+
+
+def test_the_interval_of_an_effect_of_pairs_by_its_definition() -> None:
+    """At either end so extreme a t has a probability of 2.5 %, as drawn."""
+    rng = np.random.default_rng(4)
+    for effect, n in ((0.85, 10), (0.0, 24), (-2.0, 6), (0.3, 60)):
+        low, high = effect_interval(effect, n)
+        assert low < effect < high
+        t = effect * np.sqrt(n)
+        for end, tail in ((low, np.greater), (high, np.less)):
+            z, s = rng.normal(size=200_000), np.sqrt(rng.chisquare(n - 1, 200_000) / (n - 1))
+            share = tail((z + end * np.sqrt(n)) / s, t).mean()
+            assert share == pytest.approx(0.025, abs=2e-3)
+
+
+@pytest.mark.parametrize("effect", [1e3, -1e6])
+def test_the_interval_of_a_huge_effect_is_about_it(effect: float) -> None:
+    low, high = effect_interval(effect, 12)
+    assert low < effect < high
+    # The pairs differ by nothing but their own deviation, which is known as a χ² is.
+    ends = sorted(effect * np.sqrt(special.chdtri(11, [0.975, 0.025]) / 11))
+    assert (low, high) == pytest.approx(ends, rel=1e-3)
+
+
+def test_the_interval_goes_on_where_it_is_approximate() -> None:
+    exact, approximate = (effect_interval(t / np.sqrt(20), 20) for t in (99.9, 100.1))
+    assert exact == pytest.approx(approximate, rel=0.01)
+
+
+def test_a_pair_with_a_missing_value_is_left_out_as_a_pair() -> None:
+    a, b = A[:12].copy(), B[:12].copy()
+    a[3], b[7] = np.nan, np.inf
+    kept = [k for k in range(12) if k not in (3, 7)]
+    assert paired(a, b) == paired(a[kept], b[kept])
 
 
 def test_equal_values_on_one_side_are_nothing_to_warn_of() -> None:
