@@ -229,6 +229,9 @@ def _state(
         return "Stale tracker: a structure was not seen for too long, the tool holds.", red
     if step is not None and step.status == vf.Status.OVERTAKEN:
         depth = f"{step.violation * 1e3:.3f} mm"
+        if options.tracker is not None:
+            # Whether it is there only a tracker that is not late would know.
+            return f"Overtaken: the anatomy, seen late, may be in the tool by up to {depth}.", red
         return f"Overtaken: the anatomy came faster than the arm yields, by up to {depth}.", red
     if step is not None and step.status == vf.Status.INSIDE:
         return "Inside the anatomy: only motion towards the outside passes.", red

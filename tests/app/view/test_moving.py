@@ -168,7 +168,11 @@ def test_the_banner_says_overtaken_with_its_depth_and_a_stale_tracker(shown: Mom
     overtaken = replace(step, status=vf.Status.OVERTAKEN, violation=1.25e-4)
     telemetry = replace(shown.telemetry, paused=False, step=overtaken)
     assert "Overtaken" in (said := text(readouts.banner(telemetry, shown.options, extras, False)))
+    assert "seen late" in said
     assert "0.125 mm" in said
+    known = replace(shown.options, tracker=None)
+    said = text(readouts.banner(telemetry, known, extras, False))
+    assert "came faster than the arm yields, by up to 0.125 mm" in said
     assert "0.125 mm" in text(readouts.readouts(telemetry, shown.options, extras))
     lost = replace(telemetry, lost=True)
     assert "Stale tracker" in text(readouts.banner(lost, shown.options, extras, False))
