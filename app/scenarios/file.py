@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from app.choices import FROM_PACKAGES, MESHES, NO_MESH, SETS
 from app.kinds import Kind, Maybe, Switch, Text
+from app.kinds.links import parse_address
 from app.options import Checked, declared, option
 from app.scenarios.values import (
     CAMERAS,
@@ -34,6 +35,7 @@ FORMAT = 1
 SIZE_LIMIT = 100_000  # [byte] of a file; one with the most waypoints has some ten thousand
 SETTINGS = {name: entry.kind for name, entry in declared(Options).items() if entry.shared}
 """The options that belong to a scenario; its file has them at the same level as other keys."""
+LOOPBACK = ("127.0.0.1", "::1", "localhost")  # a file from elsewhere opens no port to others
 
 
 @dataclass(frozen=True)
@@ -220,6 +222,13 @@ def _placed(
         one if one.file is None else replace(one, file=_found("motions", one.file, folder, find))
         for one in options.motions
     )
+    for one in options.motions:
+        host = "" if one.stream is None else parse_address("stream", one.stream).host
+        if host not in ("", *LOOPBACK):
+            raise ScenarioError(
+                f'"motions": a scenario listens on this machine alone: {shown(one.stream)} must be '
+                "socket://127.0.0.1:PORT"
+            )
     own = options.registration
     if own is not None and isinstance(own.fiducials, str):
         file = _found("registration", own.fiducials, folder, find)

@@ -31,6 +31,8 @@ from app.recording import rerun
 from app.recording.playback import Player
 from app.recording.read import read
 from app.recording.write import Recorder
+from app.scenarios.file import Scenario, ScenarioError, dumps, loads, write
+from app.scenarios.file import read as read_scenario
 from app.scene import scene as scenes
 from app.scene.scene import Scene
 from app.session import Session
@@ -200,6 +202,14 @@ def test_a_tracker_declares_latency_and_bound_of_the_frames_too() -> None:
     assert belief.margin == pytest.approx(0.2 * 0.5)
     assert not belief.stale
     assert form.belief(1.5).stale
+
+
+def test_a_scenario_has_it_and_listens_on_this_machine_alone(tmp_path: Path) -> None:
+    scenario = Scenario("a", "b.", options())
+    write(scenario, tmp_path / "mine.json")
+    assert read_scenario(tmp_path / "mine.json") == scenario
+    with pytest.raises(ScenarioError, match="on this machine alone"):
+        loads(dumps(scenario).replace("127.0.0.1", "0.0.0.0"), tmp_path)
 
 
 # The socket

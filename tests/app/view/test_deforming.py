@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 import meshes
 from app.motion.declared import Motion, Tracker
+from app.motion.movement import streamed
 from app.scene.moment import Moment
 from app.session import Session
 from app.settings import Options
@@ -176,5 +177,35 @@ def test_the_nodes_of_the_heat_map_are_sent_its_shape() -> None:
             drawn = np.concatenate([np.asarray(node.vertices) for node in heat.nodes])
             # Each vertex of the mesh is one of a band.
             assert cKDTree(drawn).query(np.asarray(mesh.vertices))[0].max() < 1e-4
+        finally:
+            page.close()
+
+
+def test_a_shape_that_came_is_drawn_and_its_ghost_is_larger_by_the_margin() -> None:
+    one = Motion("vertices", stream="socket://127.0.0.1:0")
+    with Session(Options(mesh="vessel", robot="point", motions=(one,))) as session:
+        form = streamed(session.scene.courses)
+        assert form is not None
+        page = Page(session, "127.0.0.1", 0)
+        try:
+            shape = meshes.deforming("vessel").shape(0.4)
+            form.stream.hear(shape.astype(np.float32))
+            came = session.latest().phase
+            wait_until(lambda: session.latest().phase > came + 0.1)
+            session.pause()
+            wait_until(lambda: session.latest().paused)
+            time.sleep(1.5 * anatomy.RESHAPED)
+            page._frame()
+            page._read_out()
+            T, drawn = session.scene.T_base_mesh, page._anatomy._drawn[0]
+            assert drawn.mesh is not None
+            assert drawn.ghost is not None
+            wanted = shape @ T[:3, :3].T + T[:3, 3]
+            seen = np.asarray(drawn.mesh.vertices) / 100.0
+            assert seen == pytest.approx(wanted, abs=1e-6)
+            margin = page._source.now().places.margin
+            assert margin > 5e-3
+            apart = np.linalg.norm(np.asarray(drawn.ghost.vertices) / 100.0 - wanted, axis=1)
+            assert apart == pytest.approx(margin, abs=2e-4)
         finally:
             page.close()

@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 import vf
+from app.devices.report import LinkReport
 from app.motion.declared import Motion, Tracker
 from app.scene.moment import Moment, Placed, places_at
 from app.session import Session
@@ -292,3 +293,24 @@ def test_a_structure_at_rest_stays_where_it_is() -> None:
     assert moment_places.poses == ()
     own = Placed(scene_options.anatomy[0], still.surface)
     assert own.seen([0.1, 0.2, 0.3]) == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_vertices_that_come_are_told_by_name(page: Page, session: Session, shown: Moment) -> None:
+    """Where from, how often, and what is wrong: in the folder, and in the banner of a hold."""
+    control: Any = next(part for part in page._parts if type(part).__name__ == "MotionControl")
+    good = LinkReport("socket://127.0.0.1:48060", "127.0.0.1:5", 29.7, 0.02)
+    bad = replace(good, peer="", trouble="no sender, not finite", refused={"not finite": 3})
+    for link, words in ((good, ("30 Hz", "20 ms old")), (bad, ("no sender, not finite",))):
+        control.read_out(replace(shown, stream=link))
+        assert control._link.visible
+        assert control._on.disabled
+        assert control._pace.disabled
+        assert all(word in text(control._link.content) for word in (link.url, *words))
+        lost = replace(shown.telemetry, lost=True, paused=False)
+        extras = Measuring().measure(replace(shown, stream=link, telemetry=lost), 0, "")
+        told = text(readouts.banner(lost, shown.options, extras, False))
+        assert f"no new vertices from {link.url}" in told
+        assert link.trouble in told
+    control.read_out(shown)
+    assert not control._link.visible
+    assert not control._on.disabled
