@@ -1,6 +1,6 @@
 """Format of a recording: every order that took effect, every tick, and the state before them.
 
-A file of version 6 is append-only and consists of blocks: wherever the writing ends, all complete
+A file of version 7 is append-only and consists of blocks: wherever the writing ends, all complete
 blocks are readable. It is `MAGIC`, followed by
 
 - one ``HEAD``: JSON with format, version, package versions, and the initial state of the engine;
@@ -23,7 +23,9 @@ Columns are little-endian, SI units, poses in the arm's base frame. An order tha
 newer one before the engine read it had no effect and is not in the file. Planes are not stored:
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
 and checked against ``planes_crc``; so is how structures move, from the phase of their motion in
-every row. Options of the server, such as host and port, are not recorded.
+every row. Of devices there is what entered the ticks: the joints that an arm measured, the goals
+of a master as they passed the border, and the operating state. Options of the server, such as host
+and port, are not recorded.
 
 Older versions are still read. They lack the options of `ADDED`, the columns of `LATER` and the
 structures, and are else the same; for version 1 see `archive`.
@@ -45,8 +47,8 @@ from app.options import declared
 from app.settings import Options
 
 FORMAT = "vf-sandbox recording"
-VERSION = 6
-MAGIC = b"vf-sandbox recording 6\n"
+VERSION = 7
+MAGIC = b"vf-sandbox recording 7\n"
 MAGICS = {b"vf-sandbox recording %d\n" % version: version for version in range(2, VERSION + 1)}
 """The versions of append-only files, by what they begin with; all equally long."""
 ADDED: dict[int, dict[str, object]] = {
@@ -54,6 +56,7 @@ ADDED: dict[int, dict[str, object]] = {
     4: {"structures": [], "margin": 0.0, "guarded": True, "colour": None, "opacity": 1.0},
     5: {"motions": [], "tracker": None},
     6: {"registration": None},
+    7: {"arm": "sim"},
 }
 """By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")
@@ -63,7 +66,7 @@ SUFFIX = ".vfrec"
 JOINTS = 8  # width of the column q, padded with zeros
 CHUNK = 4096  # largest number of rows in a part
 MAX_ROWS = 4_000_000  # over an hour at 1 kHz
-MAX_ORDERS = 1_000_000
+MAX_ORDERS = MAX_ROWS  # a master that is elsewhere gives one a tick
 MAX_PLANTS = 20_000
 MAX_WAYPOINTS = 1000  # of a course
 MAX_HEADER = 64_000_000  # [byte]
@@ -89,6 +92,7 @@ ORDERS = np.dtype(
         ("lock", "u1"),  # of the orientation
         ("moving", "u1"),  # whether structures that have a motion move …
         ("pace", "<f8"),  # … and how fast, over their own speed
+        ("state", "u1"),  # operating state of an arm: index of `STATES`
     ]
 )
 ROWS = np.dtype(
@@ -114,9 +118,18 @@ ROWS = np.dtype(
         ("spent", "<f4"),  # time in the controller [s]; not repeatable, not compared
         ("phase", "<f8"),  # time of the motion of structures at the end of the tick [s]
         ("lost", "u1"),  # whether the tool held because a structure was not seen for too long
+        ("sensed", "u1"),  # of the joints before the tick: `SIMULATED`, `MEASURED` or `UNKNOWN`
+        ("measured", "<f8", (JOINTS,)),  # what the arm measured, where it did [rad or m]
     ]
 )
-LATER: dict[int, dict[str, object]] = {5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0}}
+SIMULATED, MEASURED, UNKNOWN = range(3)
+"""Of the column `sensed`: the arm is where the tick before put it; where it measures; not known."""
+STATES = ("", "DISABLED", "ENABLED", "PAUSED", "FAULT")
+"""Of the column `state`; empty: there are no devices."""
+LATER: dict[int, dict[str, object]] = {
+    5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0},
+    7: {"state": 0, "sensed": SIMULATED, "measured": 0.0},
+}
 """By version: the columns that tables have since then, and what they were before."""
 COMPARED = tuple(name for name in ROWS.names or () if name != "spent")
 

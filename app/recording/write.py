@@ -41,6 +41,7 @@ from app.recording.format import (
     PART,
     RECORDED,
     ROWS,
+    STATES,
     VERSION,
     RecordingError,
     chained,
@@ -209,6 +210,7 @@ class Recorder:
                 orders.lock_orientation,
                 orders.moving,
                 orders.pace,
+                STATES.index(orders.state),
             )
         )
         self._counts["orders"] += 1

@@ -19,15 +19,19 @@ import numpy as np
 from app.recording.format import ORDERS, ROWS
 from app.recording.read import read
 
-MAGIC = b"vf-sandbox recording 6\n"
+MAGIC = b"vf-sandbox recording 7\n"
 # By version: the options that those before it do not have.
 LATER = {
     3: ("guard", "trocar"),
     4: ("structures", "margin", "guarded", "colour", "opacity"),
     5: ("motions", "tracker"),
     6: ("registration",),
+    7: ("arm",),
 }
-COLUMNS = {5: ("orders/moving", "orders/pace", "rows/00000/phase", "rows/00000/lost")}
+COLUMNS = {
+    5: ("orders/moving", "orders/pace", "rows/00000/phase", "rows/00000/lost"),
+    7: ("orders/state", "rows/00000/sensed", "rows/00000/measured"),
+}
 """By version: the columns that those before it do not have."""
 Change = Callable[[dict[str, Any], dict[str, bytes]], None]
 
@@ -72,7 +76,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def forged(
-    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 6
+    sound: Path, folder: Path, change: Change = lambda header, members: None, version: int = 7
 ) -> Path:
     """A copy of a recording with its header and columns changed, in this version."""
     recording = read(sound)
@@ -123,7 +127,7 @@ def forged(
                 (b"PART", n, pack(about, tables)),
                 (b"LAST", n, end),
             ],
-            MAGIC.replace(b"6", b"%d" % version),
+            MAGIC.replace(b"7", b"%d" % version),
         )
     )
     return path

@@ -32,9 +32,9 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
 
     cases: list[tuple[str, Change, str]] = []
 
-    @case("version", "version 7 of the format")
+    @case("version", "version 8 of the format")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
-        header["version"] = 7
+        header["version"] = 8
 
     @case("format", "the format is not")
     def _(header: dict[str, Any], members: dict[str, bytes]) -> None:
@@ -202,7 +202,7 @@ def hostile() -> Iterator[tuple[str, Change, str]]:
     ("version", "change", "match"),
     [
         pytest.param(version, change, match, id=f"{version}-{name[:20]}-{match[:20]}")
-        for version in (1, 6)
+        for version in (1, 7)
         for name, change, match in hostile()
         if version == 1 or name not in ARCHIVED
     ],
@@ -284,7 +284,7 @@ def test_what_follows_the_end_is_refused(sound: Path, tmp_path: Path) -> None:
     refused(path, "4 bytes follow its end")
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("version", [1, 2, 3, 4, 5, 6, 7])
 def test_a_copy_in_any_version_is_sound_and_before_the_third_guards_the_tip(
     sound: Path, tmp_path: Path, version: int
 ) -> None:
@@ -314,8 +314,8 @@ def test_files_without_a_tick_of_a_later_version_or_unreadable_say_so(
     for content in (b"", MAGIC[:7], MAGIC):
         path.write_bytes(content)
         refused(path, "cut off.* before its first tick")
-    path.write_bytes(sound.read_bytes().replace(b"recording 6", b"recording 7", 1))
-    refused(path, "reads versions 1 to 6")
+    path.write_bytes(sound.read_bytes().replace(b"recording 7", b"recording 8", 1))
+    refused(path, "reads versions 1 to 7")
     refused(tmp_path / "none.vfrec", "cannot be read .No such file")
     refused(tmp_path, "cannot be read .Is a directory")
 
@@ -346,7 +346,7 @@ def test_a_file_cut_off_anywhere_is_read_up_to_its_last_complete_block(
     assert len(seen) > 3
 
 
-@pytest.mark.parametrize("version", [1, 6])
+@pytest.mark.parametrize("version", [1, 7])
 def test_a_flipped_byte_anywhere_is_noticed_or_harmless(
     sound: Path, tmp_path: Path, version: int
 ) -> None:
@@ -365,11 +365,11 @@ def test_a_flipped_byte_anywhere_is_noticed_or_harmless(
             continue
         noticed += found.cut != ""
         assert found.rows.tobytes() == whole.rows[: len(found.rows)].tobytes()
-        if version == 6:
+        if version == 7:
             assert "is damaged from byte" in found.cut or "was cut off" in found.cut
         else:
             assert len(found.rows) == len(whole.rows)
-    assert noticed == 100 if version == 6 else noticed > 50
+    assert noticed == 100 if version == 7 else noticed > 50
 
 
 def test_how_much_of_a_damaged_recording_is_left_is_said(sound: Path, tmp_path: Path) -> None:
