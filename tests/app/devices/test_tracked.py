@@ -51,4 +51,4 @@ def test_the_whole_is_off_its_path_where_the_tip_is_not() -> None:
     assert tip == alone < 0.1 * shaft
     assert tracked.error(aside, whole=True)[0] == tip
     assert tracked.error(aside, whole=True)[1] >= shaft
-    assert tracked.error(q, whole=True) == (0.0, 0.0)
+    assert max(tracked.error(q, whole=True)) < 1e-12
