@@ -198,11 +198,6 @@ class Session(Driving):
         Raises:
             Refused: a recording is under way, or the file cannot be made.
         """
-        if self.spec is not None:
-            raise Refused(
-                "a session with masters or arms that are elsewhere is not recorded: it could not "
-                "be repeated from its orders"
-            )
         with self._writer.exclusive():
             return self._loop.record(path)
 

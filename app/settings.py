@@ -241,7 +241,7 @@ class Options(Checked):
         Device("arm"), "sim",
         "The arm that is moved: sim, or one that is elsewhere, as socket://127.0.0.1:48051 (the "
         "dVRK's socket streamer, which sends to that port), ros:/PSM1, python:FILE:CLASS.",
-        Scope.SERVER,
+        Scope.SERVER, recorded=True,
     )  # fmt: skip
     master: str = option(
         Device("master"), "page",

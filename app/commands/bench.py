@@ -1,4 +1,4 @@
-"""Measure: run time, other libraries, the control thread, the page, files, an hour of operation."""
+"""Measure: run time, other libraries, the control thread, devices, the page, files, an hour."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ from typing import Any
 
 from rich.console import Console
 
-from app.bench.tools.settings import Loop, Meshes, Motion, Peers, Runtime, Soak, Structures, View
+from app.bench.tools.settings import (
+    Devices,
+    Loop,
+    Meshes,
+    Motion,
+    Peers,
+    Runtime,
+    Soak,
+    Structures,
+    View,
+)
 from app.bench.tools.watcher import NoBrowser
 from app.commands import interrupted
 from app.console import console as new_console
@@ -69,5 +79,5 @@ def _run(
         return work(say, lambda share: shown.update(bar, completed=share))
 
 
-_ALL = (Runtime, Structures, Motion, Peers, Loop, View, Meshes, Soak)
+_ALL = (Runtime, Structures, Motion, Peers, Loop, Devices, View, Meshes, Soak)
 KINDS = {kind.__name__.lower(): (kind, measure) for kind in _ALL}

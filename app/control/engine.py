@@ -108,7 +108,8 @@ class Orders:
     `steps` and `resets` are running totals: the engine compares them with what it has done, so it
     may miss intermediate values. The engine does not use `scale` and `lock_orientation`, which map
     the handle to the target; they are here to be recorded. While `moving`, the structures that have
-    a motion move on, at `pace` times their speed; so does the time of their tracker.
+    a motion move on, at `pace` times their speed; so does the time of their tracker. Nor does the
+    engine use `state`, the operating state of an arm that is elsewhere; empty: there is none.
     """
 
     plant: Plant
@@ -121,6 +122,7 @@ class Orders:
     lock_orientation: bool = False
     moving: bool = True
     pace: float = 1.0
+    state: str = ""
 
 
 def is_free(surface: vf.Surface, p_base: NDArray[np.float64], clearance: float) -> bool:
@@ -166,6 +168,8 @@ class Engine:
         self._stale = False
         self._failed = False
         self._known = True  # whether the arm's joints are known
+        self._simulated = isinstance(self._arm, SimulatedArm)
+        self._q_measured: NDArray[np.float64] | None = None
         self._origin: pin.SE3 | None = None  # the tip's pose when the last tick began
         self._guide = self._plant.guide()
         self._phase = self._phase_before = 0.0
@@ -251,6 +255,8 @@ class Engine:
             phase=self._phase,
             phase_before=self._phase_before,
             lost=self._lost,
+            known=self._known,
+            measured=self._q_measured,
         )
 
     def _adopt(self, orders: Orders) -> bool:
@@ -288,6 +294,7 @@ class Engine:
             assert q is not None
             self._q = _frozen(q)
             self._tip = self._plant.arm.tip(self._q)
+        self._q_measured = self._q if self._known and not self._simulated else None
 
     def _move_to(self, q: NDArray[np.float64]) -> None:
         self._q = q

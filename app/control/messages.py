@@ -61,6 +61,9 @@ class Telemetry:
             `app.motion.movement`.
         phase_before: at its start [s].
         lost: whether the tool held because a structure was last seen too long ago.
+        known: whether the arm's joints were known when the tick began.
+        measured: (n,) the joints that the arm measured then; None: it is a simulated one, or they
+            were not known.
     """
 
     tick: int
@@ -78,6 +81,8 @@ class Telemetry:
     phase: float = 0.0
     phase_before: float = 0.0
     lost: bool = False
+    known: bool = True
+    measured: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ class Report:
         latency: median and 99.9th percentile of the time from a master's goal to the arm's
             set-point [s]; nan: none yet.
         sent: set-points that went to the arm.
+        errors: of the devices' code, in each of which the tool held.
     """
 
     state: str
@@ -59,6 +60,7 @@ class Report:
     limit: float = 0.0
     latency: tuple[float, float] = (float("nan"), float("nan"))
     sent: int = 0
+    errors: int = 0
 
 
 class Rate:

@@ -111,6 +111,7 @@ class Station:
         self._sequence = 0
         self._error = 0.0
         self._sent = 0
+        self._errors = 0
         self._paused = False
         self._arrived = self._counted = -math.inf
         self._latencies = Latencies()
@@ -132,15 +133,18 @@ class Station:
         try:
             return self._before(orders, latest)
         except Exception:
+            self._errors += 1
             self._log("an error of the devices' code; the tool holds", trace=True)
             self._sequence += 1
-            return replace(orders, command=Command(None, self._sequence), autopilot=False)
+            held = Command(None, self._sequence)
+            return replace(orders, command=held, autopilot=False, state=str(self.machine.state))
 
     def after(self, telemetry: Telemetry, ticked: bool) -> None:
         """Tell the devices what became of the tick."""
         try:
             self._after(telemetry, ticked)
         except Exception:
+            self._errors += 1
             self._log("an error of the devices' code", trace=True)
 
     def close(self) -> None:
@@ -155,6 +159,7 @@ class Station:
         self._limit = _limit(orders, latest)
         holds = ""
         if remote is not None:
+            remote.whole = orders.plant.options.guards_tool
             remote.poll(now)
             self._look_at_arm(remote, now)
             holds = remote.trouble
@@ -189,6 +194,7 @@ class Station:
             orders,
             command=Command(target, self._sequence, False, False, now),
             autopilot=False,
+            state=str(machine.state),
         )
 
     def _of_page(self, orders: Orders, tick: Tick) -> Orders:
@@ -204,10 +210,12 @@ class Station:
             command = self._command
         why = tick.refuses or tick.holds
         self._hold(why)
+        state = str(self.machine.state)
         if why:
             held = Command(None, command.sequence, command.clutch, command.held, command.stamp)
-            return replace(orders, command=held, autopilot=False)
-        return replace(orders, command=command, autopilot=orders.autopilot or self._sim)
+            return replace(orders, command=held, autopilot=False, state=state)
+        autopilot = orders.autopilot or self._sim
+        return replace(orders, command=command, autopilot=autopilot, state=state)
 
     def _look_at_arm(self, remote: RemoteArm, now: float) -> None:
         """Follow what the arm says of itself."""
@@ -222,9 +230,9 @@ class Station:
                 self._warn(f"disabled, since the arm says that it is {told.text[:40]}")
         if machine.state is State.ENABLED and not remote.trouble:
             self._error = max(self._error, remote.error)
-            if remote.error > GROSS + self._limit:
+            if (off := remote.tip_error) > GROSS + self._limit:
                 remote.stop()
-                self._fail(f"the arm is {1e3 * remote.error:.1f} mm off the certified path")
+                self._fail(f"the arm is {1e3 * off:.1f} mm off the certified path")
         if self._enable and not remote.trouble:
             self._enable = False
             self._obey("enable")
@@ -341,6 +349,7 @@ class Station:
             limit=self._limit,
             latency=self._latencies.summary(),
             sent=self._sent,
+            errors=self._errors,
         )
 
 
@@ -361,7 +370,8 @@ def _limit(orders: Orders, latest: Telemetry | None) -> float:
     The certified segment keeps the standoff, and at its start the tip has all the room there is.
     An arm that is aside of the start goes to the same end, ever less aside: so up to that room it
     meets nothing. Half of it counts, since the room changes from tick to tick. Of an instrument
-    that is guarded whole the room of its other parts is not known here: the standoff counts.
+    that is guarded whole the room of its other parts is not known here: the standoff counts, for
+    what is a bound of the error of all its parts.
     """
     options = orders.plant.options
     standoff = options.standoff

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.recording.format import Recording, RecordingError
+from app.recording.format import STATES, UNKNOWN, Recording, RecordingError
 from app.settings import number
 
 
@@ -31,7 +31,9 @@ def check(recording: Recording) -> None:
     turned = orders["rotation"][orders["driven"] != 0]
     off = np.abs(np.einsum("kij,klj->kil", turned, turned) - np.eye(3)).max(axis=(1, 2), initial=0)
     _all(off < 1e-3, "orders/rotation", "is not a rotation")
-    for name in ("q", "target", "tip", "force", "radius", "spent", "phase"):
+    _all(orders["state"] < len(STATES), "orders/state", "is not a state")
+    _all(rows["sensed"] <= UNKNOWN, "rows/sensed", "is not one of three")
+    for name in ("q", "target", "tip", "force", "radius", "spent", "phase", "measured"):
         _all(np.isfinite(rows[name]), f"rows/{name}", "is not finite")
     _all(~np.isnan(rows["distance"]), "rows/distance", "is not a number")
     _all(rows["status"] <= max(vf.Status), "rows/status", "is not a status")

@@ -26,8 +26,9 @@ Columns are little-endian, SI units, poses in the arm's base frame. An order tha
 newer one before the engine read it had no effect and is not in the file. Planes are not stored:
 `vf.Controller.step` is a pure function of the joints and the target, so they are computed again,
 and checked against ``planes_crc``; so is how structures move, from the phase of their motion in
-every row, and from the shapes where these come from elsewhere. Options of the server, such as host
-and port, are not recorded.
+every row, and from the shapes where these come from elsewhere. Of devices there is what entered the
+ticks: the joints that an arm measured, the goals of a master as they passed the border, and the
+operating state. Options of the server, such as host and port, are not recorded.
 
 Older versions are still read. They lack the options of `ADDED`, the columns of `LATER` and the
 structures, and are else the same; for version 1 see `archive`.
@@ -59,7 +60,7 @@ ADDED: dict[int, dict[str, object]] = {
     4: {"structures": [], "margin": 0.0, "guarded": True, "colour": None, "opacity": 1.0},
     5: {"motions": [], "tracker": None},
     6: {"registration": None},
-    7: {"approach": 0.0},
+    7: {"approach": 0.0, "arm": "sim"},
 }
 """By version: the options that are in a recording since then, and what they were before."""
 BLOCK = struct.Struct("<4sIII")
@@ -72,7 +73,7 @@ SUFFIX = ".vfrec"
 JOINTS = 8  # width of the column q, padded with zeros
 CHUNK = 4096  # largest number of rows in a part
 MAX_ROWS = 4_000_000  # over an hour at 1 kHz
-MAX_ORDERS = 1_000_000
+MAX_ORDERS = MAX_ROWS  # a master that is elsewhere gives one a tick
 MAX_PLANTS = 20_000
 MAX_WAYPOINTS = 1000  # of a course
 MAX_SHAPES = 2 * 10**8  # numbers in all shapes
@@ -99,6 +100,7 @@ ORDERS = np.dtype(
         ("lock", "u1"),  # of the orientation
         ("moving", "u1"),  # whether structures that have a motion move …
         ("pace", "<f8"),  # … and how fast, over their own speed
+        ("state", "u1"),  # operating state of an arm: index of `STATES`
     ]
 )
 ROWS = np.dtype(
@@ -124,9 +126,18 @@ ROWS = np.dtype(
         ("spent", "<f4"),  # time in the controller [s]; not repeatable, not compared
         ("phase", "<f8"),  # time of the motion of structures at the end of the tick [s]
         ("lost", "u1"),  # whether the tool held because a structure was not seen for too long
+        ("sensed", "u1"),  # of the joints before the tick: `SIMULATED`, `MEASURED` or `UNKNOWN`
+        ("measured", "<f8", (JOINTS,)),  # what the arm measured, where it did [rad or m]
     ]
 )
-LATER: dict[int, dict[str, object]] = {5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0}}
+SIMULATED, MEASURED, UNKNOWN = range(3)
+"""Of the column `sensed`: the arm is where the tick before put it; where it measures; not known."""
+STATES = ("", "DISABLED", "ENABLED", "PAUSED", "FAULT")
+"""Of the column `state`; empty: there are no devices."""
+LATER: dict[int, dict[str, object]] = {
+    5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0},
+    7: {"state": 0, "sensed": SIMULATED, "measured": 0.0},
+}
 """By version: the columns that tables have since then, and what they were before."""
 MOTION_ADDED: dict[int, dict[str, object]] = {7: {"stream": None}}
 """By version: what an entry of the motions has since then, and what it was before."""

@@ -18,7 +18,7 @@ from app.control.messages import LoopStats, Telemetry
 from app.motion.movement import Movement, checksum, streamed
 from app.motion.refits import Guide
 from app.recording import rerun
-from app.recording.format import Recording
+from app.recording.format import MEASURED, Recording
 from app.recording.write import as_json
 from app.scene import scene as scenes
 from app.scene import structures, worker
@@ -165,6 +165,9 @@ class Player:
 
     def _before(self, row: int, q: np.ndarray) -> np.ndarray:
         """Joints before the tick of a row; those after it if a reset or a new scene moved them."""
+        noted = self.recording.rows[row]
+        if noted["sensed"] == MEASURED:
+            return np.array(noted["measured"][: len(q)])
         return q if self._jumped(row) else self.recording.joints(row - 1)
 
     def _jumped(self, row: int) -> bool:

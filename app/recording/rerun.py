@@ -7,13 +7,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 import meshes
 from app.control.engine import Engine, Orders, Plant
 from app.control.messages import LoopStats, Telemetry
 from app.files import shown
 from app.motion.movement import checksum, streamed
-from app.recording.format import CHUNK, COMPARED, ROWS, Place, Recording, RecordingError
+from app.recording.format import (
+    CHUNK,
+    COMPARED,
+    MEASURED,
+    ROWS,
+    SIMULATED,
+    STATES,
+    Place,
+    Recording,
+    RecordingError,
+)
 from app.recording.rows import command as command_of
 from app.recording.rows import fill
 from app.scene import scene as scenes
@@ -36,6 +47,27 @@ class Difference:
             f"tick {self.tick}: {self.field} differs: "
             f"recorded {self.recorded}, repeated {self.repeated}"
         )
+
+
+class PlayedArm:
+    """An `Arm` that measures what was recorded, whatever it is told to do."""
+
+    def __init__(self, joints: int) -> None:
+        """`joints`: how many it has."""
+        self._n = joints
+        self._measured: NDArray[np.float64] | None = None
+
+    def turn(self, noted: np.void) -> None:
+        """Be where the arm was before the tick of this row of `ROWS`."""
+        known = noted["sensed"] == MEASURED
+        self._measured = np.array(noted["measured"][: self._n]) if known else None
+
+    def measured(self) -> NDArray[np.float64] | None:
+        """The joints (n,); None: they were not known."""
+        return self._measured
+
+    def servo(self, q: NDArray[np.float64]) -> None:
+        """Stay."""
 
 
 def rerun(
@@ -61,6 +93,7 @@ def rerun(
     scene: Scene | None = None
     plant = None
     engine: Engine | None = None
+    arm: PlayedArm | None = None
     # Row −1: the orders that were in force when the recording began.
     for row in range(-1, len(recording.rows)):
         due = 0 if row < 0 else int(recording.rows["order"][row])
@@ -80,8 +113,12 @@ def rerun(
             assert plant is not None
             orders = orders_of(noted, plant)
         if engine is None:
-            engine = Engine(orders, recording.state)
+            sensed = bool((recording.rows["sensed"] != SIMULATED).any())
+            arm = PlayedArm(len(recording.state.q)) if sensed else None
+            engine = Engine(orders, recording.state, arm)
             continue
+        if arm is not None:
+            arm.turn(recording.rows[row])
         yield order, *engine.advance(orders, stats)
 
 
@@ -98,6 +135,7 @@ def orders_of(noted: np.void, plant: Plant) -> Orders:
         lock_orientation=bool(noted["lock"]),
         moving=bool(noted["moving"]),
         pace=float(noted["pace"]),
+        state=STATES[int(noted["state"])],
     )
 
 

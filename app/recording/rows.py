@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import vf
 from app.control.messages import Command, Telemetry
-from app.recording.format import JOINTS
+from app.recording.format import JOINTS, MEASURED, SIMULATED, UNKNOWN
 
 
 def fill(
@@ -29,7 +29,12 @@ def fill(
     goal, turns = np.zeros(3), 0
     if target is not None:
         goal, turns = target.translation, zlib.crc32(target.rotation.tobytes())
-    tail = (telemetry.phase, telemetry.lost)
+    measured = np.zeros(JOINTS)
+    sensed = SIMULATED if telemetry.known else UNKNOWN
+    if telemetry.measured is not None:
+        sensed = MEASURED
+        measured[: len(telemetry.measured)] = telemetry.measured
+    tail = (telemetry.phase, telemetry.lost, sensed, measured)
     head = (order, ticked, telemetry.tick, q, target is not None, goal, telemetry.stale)
     if step is None or step is before:
         rows[k] = (*head, False, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, turns, 0, 0, 0.0, *tail)

@@ -45,6 +45,7 @@ from app.recording.format import (
     ROWS,
     SHAP,
     SHAPE,
+    STATES,
     VERSION,
     RecordingError,
     chained,
@@ -233,6 +234,7 @@ class Recorder:
                 orders.lock_orientation,
                 orders.moving,
                 orders.pace,
+                STATES.index(orders.state),
             )
         )
         self._counts["orders"] += 1

@@ -26,9 +26,12 @@ LATER = {
     4: ("structures", "margin", "guarded", "colour", "opacity"),
     5: ("motions", "tracker"),
     6: ("registration",),
-    7: ("approach",),
+    7: ("approach", "arm"),
 }
-COLUMNS = {5: ("orders/moving", "orders/pace", "rows/00000/phase", "rows/00000/lost")}
+COLUMNS = {
+    5: ("orders/moving", "orders/pace", "rows/00000/phase", "rows/00000/lost"),
+    7: ("orders/state", "rows/00000/sensed", "rows/00000/measured"),
+}
 """By version: the columns that those before it do not have."""
 Change = Callable[[dict[str, Any], dict[str, bytes]], None]
 

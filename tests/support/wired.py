@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -154,3 +155,7 @@ class Bench:
         for _ in range(ticks):
             self.goal(pose, **more)
             self.tick()
+
+
+Make = Callable[..., Bench]
+"""Makes benches with other options."""

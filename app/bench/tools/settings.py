@@ -17,6 +17,7 @@ PHASES = (
     "idle", "dragging", "loading", "joining", "examining", "recording", "replaying",
 )  # fmt: skip
 FORMATS = ("stl", "ply", "obj", "off", "glb")
+PARTS = ("faults", "meshes", "latency")
 _SIZE = Whole(128, 10**9)
 _RADIUS = number("radius")
 _SHAPE = "File or catalogue name of the shape; default: an installed bunny, else a built-in shape."
@@ -141,6 +142,27 @@ class Loop(Checked):
         "Whether a headless Chromium shows the page (needs Playwright and a Chromium).",
     )  # fmt: skip
     out: pathlib.Path = option(Path(), _OUT, "Folder for loop.json.")
+
+
+@dataclass(frozen=True)
+class Devices(Checked):
+    """The guard between an arm and a console over sockets, each in a process of its own.
+
+    Parts: faults, each of every kind a device can have; meshes, into each of which a lagging, noisy
+    arm is driven over links that lose; latency from the console to the arm, in turns with that of a
+    relay that passes on what comes, at the same rate.
+    """
+
+    parts: tuple[str, ...] = option(Many(OneOf("part", PARTS)), PARTS, "Which parts.")
+    faults: int = option(Whole(1, 10_000), 100, "How often each fault is made.")
+    guards: int = option(Whole(1, 64), 2, "Guards that run side by side.")
+    meshes: tuple[str, ...] = option(
+        Many(OneOf("mesh", choices.MESHES)), choices.MESHES, "Meshes that the arm is driven into."
+    )
+    minutes: float = option(Number(1e-3, 1440.0, "min"), 10.0, "How long into each mesh.")
+    guard: str = like(Options, "guard")
+    seconds: float = option(_SECONDS, 60.0, "How long the latency is measured, guard and relay.")
+    out: pathlib.Path = option(Path(), _OUT, "Folder for devices.json.")
 
 
 @dataclass(frozen=True)

@@ -191,8 +191,9 @@ class Child:
                 self._told = str(error)
                 return
 
-        def told(_orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
-            queue.put(teller.message(inbox.number, telemetry, ticked))
+        def told(orders: Orders, telemetry: Telemetry, ticked: bool) -> None:
+            made = None if spec is None else orders
+            queue.put(teller.message(inbox.number, telemetry, ticked, made))
 
         queue, inbox = self._queue, self._inbox
         loop = ControlLoop(

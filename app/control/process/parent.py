@@ -358,7 +358,7 @@ class ControlProcess(Host):
                     self.clock.record(vf.Status(status), started, late, spent, overrun)
                 elif what == SKIPPED:
                     self.clock.skip(started)
-                orders = self._orders_of(told.order)
+                orders = told.orders(self._orders_of(told.order))
                 if tape is not None:
                     if not tape.begun:
                         tape.begin(self._seen, self._state)

@@ -6,10 +6,11 @@ Every number keeps its bits, so that a recording is the same wherever it is made
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 import vf
 from app.control.clock import Timing
@@ -22,9 +23,13 @@ _ORDERS = struct.Struct("<QQ7?qqqddd12d")
 # Number of the orders; ticked, stepped, repeated, driven, from, paused, autopilot, stale; tick,
 # scene, sequence, steps, silent, tick of the autopilot's start (−1: it is off); joints; phase, that
 # before; of the step when it began, and how many joints it has; timing of the period before: what
-# it was, status, overrun, started, late, spent; lost. A multiple of eight bytes: arrays stand
-# behind it.
-_TICK = struct.Struct("<Q8?qqqqqqQdddQBB?4x?ddd")
+# it was, status, overrun; whether the command of devices follows; lost; started, late, spent. A
+# multiple of eight bytes: arrays stand behind it.
+_TICK = struct.Struct("<Q8?qqqqqqQdddQBB?3x??ddd")
+# What devices made of the orders: driven, clutch, held, autopilot; joints known, measured;
+# operating state; sequence; stamp; target (3, 4). The measured joints follow.
+_DEVICES = struct.Struct("<6?Bxqd12d")
+_STATES = ("", "DISABLED", "ENABLED", "PAUSED", "FAULT")
 _POSE = 96  # of a pose (3, 4) [byte]
 _NO_POSE = bytes(_POSE)
 
@@ -90,8 +95,14 @@ class Teller:
         self._step: vf.Step | None = None
         self._target: tuple[pin.SE3 | None, bytes] = (None, _NO_POSE)
 
-    def message(self, number: int, telemetry: Telemetry, ticked: bool) -> bytes:
-        """The message of a tick by the orders of this number."""
+    def message(
+        self, number: int, telemetry: Telemetry, ticked: bool, made: Orders | None = None
+    ) -> bytes:
+        """The message of a tick by the orders of this number.
+
+        Args:
+            made: what devices made of these orders; None: there are none.
+        """
         step, target, origin = telemetry.step, telemetry.target, telemetry.origin
         record, n, began = (b"", 0, 0.0) if step is None else step.packed
         steps, silent, since = self._engine.counts
@@ -120,11 +131,14 @@ class Teller:
             began,
             n,
             *timing,
+            made is not None,
             telemetry.lost,
             *times,
         )
         self._step = step
-        return b"".join((head, self._target[1], _packed(origin), telemetry.q.tobytes(), record))
+        devices = b"" if made is None else _packed_devices(made, telemetry)
+        poses = self._target[1] + _packed(origin)
+        return b"".join((head, poses, telemetry.q.tobytes(), devices, record))
 
 
 @dataclass(frozen=True)
@@ -137,6 +151,8 @@ class Told:
         telemetry: of the tick.
         timing: of the period before, as `Timing.last`.
         steps, silent, autopilot_since: as those of `State`.
+        made: what devices made of the orders: command, autopilot, operating state; None: there are
+            no devices.
     """
 
     order: int
@@ -146,6 +162,14 @@ class Told:
     steps: int
     silent: int
     autopilot_since: int | None
+    made: tuple[Command, bool, str] | None = None
+
+    def orders(self, given: Orders) -> Orders:
+        """The orders of the tick, from those of the page's process."""
+        if self.made is None:
+            return given
+        command, autopilot, state = self.made
+        return replace(given, command=command, autopilot=autopilot, state=state)
 
     @property
     def state(self) -> State:
@@ -183,7 +207,7 @@ class Listener:
         (
             order, ticked, stepped, repeated, driven, came, paused, autopilot, stale, tick, scene,
             sequence, steps, silent, since, joints, phase, phase_before, began, n, what, status,
-            overrun, lost, started, late, spent,
+            overrun, led, lost, started, late, spent,
         ) = _TICK.unpack_from(message)  # fmt: skip
         at = _TICK.size
         target = origin = None
@@ -195,17 +219,53 @@ class Listener:
             origin = self._origin[1]
         at += 2 * _POSE
         end = at + 8 * joints
+        known, measured, made = True, None, None
+        if led:
+            known, measured, made = _devices(message, end, joints)
+            end += _DEVICES.size + 8 * joints
         step = before if repeated else None
         if stepped and step is None:
             step = vf.Step.unpacked(message[end:], n, began)
         telemetry = Telemetry(
             tick, tick * self._dt, np.frombuffer(message, np.float64, joints, at), target, step,
             stats, scene, sequence, paused, autopilot, stale, origin, phase, phase_before, lost,
+            known, measured,
         )  # fmt: skip
         return Told(
             order, ticked, telemetry, (what, status, overrun, started, late, spent), steps, silent,
-            None if since < 0 else since,
+            None if since < 0 else since, made,
         )  # fmt: skip
+
+
+def _packed_devices(made: Orders, telemetry: Telemetry) -> bytes:
+    command, target, measured = made.command, made.command.target, telemetry.measured
+    head = _DEVICES.pack(
+        target is not None,
+        command.clutch,
+        command.held,
+        made.autopilot,
+        telemetry.known,
+        measured is not None,
+        _STATES.index(made.state),
+        command.sequence,
+        command.stamp,
+        *(np.zeros(12) if target is None else target.homogeneous[:3].ravel()),
+    )
+    return head + (np.zeros_like(telemetry.q) if measured is None else measured).tobytes()
+
+
+def _devices(
+    message: bytes, at: int, joints: int
+) -> tuple[bool, NDArray[np.float64] | None, tuple[Command, bool, str]]:
+    """Whether the joints were known, what was measured, and what the devices made of the orders."""
+    driven, clutch, held, autopilot, known, senses, state, sequence, stamp, *target = (
+        _DEVICES.unpack_from(message, at)
+    )
+    T = np.array(target).reshape(3, 4)
+    pose = pin.SE3(T[:, :3], T[:, 3]) if driven else None
+    measured = np.frombuffer(message, np.float64, joints, at + _DEVICES.size) if senses else None
+    made = Command(pose, sequence, clutch, held, stamp), autopilot, _STATES[state]
+    return known, measured, made
 
 
 def _same_or_new(last: tuple[bytes, pin.SE3], part: bytes) -> tuple[bytes, pin.SE3]:

@@ -25,7 +25,9 @@ class RemoteArm:
         q: (n,) the newest good joints; None: there never were any.
         at: when they arrived, by the monotonic clock [s].
         trouble: why the joints are not to be relied on in this tick; empty: they are.
-        error: how far the arm is off the certified path [m].
+        whole: whether `error` is to be that of the whole instrument; else of the tip.
+        error: how far the arm is off the certified path [m], see `Tracked.error`.
+        tip_error: the same of the tip alone [m].
         sent: (n,) the last set-point; None: none since the arm was joined.
         open: whether set-points may go to it.
         state: what the arm says of its own operating state; None: nothing.
@@ -46,7 +48,8 @@ class RemoteArm:
         self.q: FloatArray | None = None
         self.at = -math.inf
         self.trouble = "the arm is not heard of"
-        self.error = 0.0
+        self.whole = False
+        self.error = self.tip_error = 0.0
         self.sent: FloatArray | None = None
         self.open = False
         self.state: Message | None = None
@@ -59,7 +62,7 @@ class RemoteArm:
         self._step = model.velocity * dt
         self._age = address.age + address.link.latest
         # As many ticks as the arm may be behind, at 1 kHz; more often there are fewer new segments.
-        self._path = Tracked(model, 32 + math.ceil(2e3 * address.link.latest))
+        self._path = Tracked(model, 32 + math.ceil(2e3 * address.link.latest), self._reach)
         self._now = 0.0
 
     def poll(self, now: float) -> None:
@@ -95,7 +98,7 @@ class RemoteArm:
         else:
             self.trouble = f"measured joints: {bad}" if bad else ""
         if new and self.q is not None:
-            self.error = self._path.error(self.q)
+            self.tip_error, self.error = self._path.error(self.q, self.whole)
 
     def measured(self) -> FloatArray | None:
         """The measured joints (n,); None: not to be relied on."""
@@ -122,7 +125,8 @@ class RemoteArm:
         """Let the certified path begin where the arm stands."""
         if self.q is not None:
             self._path.anchor(self.q)
-        self.error, self.sent = 0.0, None
+        self.error = self.tip_error = 0.0
+        self.sent = None
 
     def stop(self) -> None:
         """Have the arm stay where it is, off the path as it may be."""

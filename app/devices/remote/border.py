@@ -27,6 +27,7 @@ RESTARTED = 0.25  # a clock that has been back for so long counts [s]
 QUIET = 5.0  # a reason is logged again after so long without it [s]
 FAST = 4.0  # measured joints may move so many times faster than the arm's limits say
 SLACK = 5e-3  # and by so much at once [rad or m]
+SURE = 0.02  # after a longer gap a leap counts when a second measurement confirms it [s]
 OUTSIDE = 0.02  # and so far outside their limits, in shares of the range
 HAND = 2.0  # a hand may move so fast [m/s] …
 HAND_TURN = 20.0  # … and turn so fast [rad/s] …
@@ -124,10 +125,11 @@ class JointBorder:
         self._velocity = FAST * velocity
         self._order = Order()
         self._last: tuple[FloatArray, float] | None = None  # taken last, and when it arrived
+        self._leapt: tuple[FloatArray, float] | None = None  # refused last as a jump, and when
 
     def forget(self) -> None:
         """Take whatever comes next: the arm may have been moved meanwhile."""
-        self._last = None
+        self._last = self._leapt = None
 
     def checked(self, message: Message) -> FloatArray | Reason:
         """The joints (n,), read-only, or why they are refused."""
@@ -140,14 +142,28 @@ class JointBorder:
             return Reason.RANGE
         if (reason := self._order.refused(message)) is not None:
             return reason
-        if self._last is not None:
-            before, at = self._last
-            most = self._velocity * max(message.at - at, 0.0) + SLACK
-            if (np.abs(q - before) > most).any():
-                return Reason.JUMP
+        if self._last is not None and not self._follows(q, message.at, *self._last):
+            self._leapt = q, message.at
+            return Reason.JUMP
         self._order.taken(message)
-        self._last = q, message.at
+        self._last, self._leapt = (q, message.at), None
         return q
+
+    def _follows(self, q: FloatArray, now: float, before: FloatArray, at: float) -> bool:
+        """Whether an arm can have gone from the joints before to q since then.
+
+        The longer the gap, the farther an arm can have gone in it: a single wrong value would be
+        believed. So a leap over a long gap needs a second value that agrees.
+        """
+        way, since = np.abs(q - before), max(now - at, 0.0)
+        if (way > self._velocity * since + SLACK).any():
+            return False
+        if (way <= self._velocity * min(since, SURE) + SLACK).all():
+            return True
+        if self._leapt is None:
+            return False
+        there, then = self._leapt
+        return bool((np.abs(q - there) <= self._velocity * max(now - then, 0.0) + SLACK).all())
 
 
 class PoseBorder:

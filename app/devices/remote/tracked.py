@@ -19,10 +19,11 @@ class Tracked:
     are (n,) [rad or m].
     """
 
-    def __init__(self, arm: Arm, segments: int) -> None:
+    def __init__(self, arm: Arm, segments: int, reach: FloatArray) -> None:
         """Args:
         arm: the model, for this object's thread.
         segments: how many are kept: as many as may be on their way to the arm and back.
+        reach: (n,) no segment is longer, by joint [rad or m].
         """
         n = len(arm.lower)
         self._arm = arm
@@ -32,6 +33,7 @@ class Tracked:
         self._ways = np.zeros((segments, n))
         self._squares = np.ones(segments)
         self._next = self._filled = 0
+        self._levers = Levers(arm, reach)
 
     def anchor(self, q: FloatArray) -> None:
         """Forget all segments: the arm is to be where it is now."""
@@ -47,15 +49,72 @@ class Tracked:
         self._next = (k + 1) % len(self._squares)
         self._filled = max(self._filled, k + 1)
 
-    def error(self, q: FloatArray) -> float:
-        """Distance of the tip from where it would be on the nearest segment [m]; none: 0."""
+    def error(self, q: FloatArray, whole: bool) -> tuple[float, float]:
+        """How far the arm is from where it would be on the nearest segment [m]; none: 0.
+
+        Args:
+            whole: whether all of the instrument counts.
+
+        Returns:
+            Of the tip, exactly; and of what counts: the same, or a bound for the tip and all
+            capsules by `Levers`.
+        """
         m = self._filled
         if m == 0:
-            return 0.0
+            return 0.0, 0.0
         offsets = self._weights * q - self._starts[:m]
         ways = self._ways[:m]
         share = np.clip((offsets * ways).sum(1) / self._squares[:m], 0.0, 1.0)
         rest = offsets - share[:, None] * ways
         k = int((rest * rest).sum(1).argmin())
         on_path = (self._starts[k] + share[k] * ways[k]) / self._weights
-        return math.dist(self._arm.tip(q).translation, self._arm.tip(on_path).translation)
+        tip = math.dist(self._arm.tip(q).translation, self._arm.tip(on_path).translation)
+        return tip, self._levers.bound(q, rest[k] / self._weights) if whole else tip
+
+
+class Levers:
+    """Bounds how far errors of the joints move the tip and every point of an arm's capsules.
+
+    A point of a capsule lies between the ends of its axis, or a radius beside it: it moves no
+    farther than the one end that moves farthest. A joint that turns by an angle moves an end by no
+    more than the angle times its lever, the end's distance from the joint's axis, which is the
+    length of a column of the end's Jacobian. Joint after joint is turned, the outermost first: a
+    lever is longer by no more than the end was moved by the joints beyond.
+    """
+
+    def __init__(self, arm: Arm, reach: FloatArray) -> None:
+        """Args:
+        arm: the model, for this object's thread.
+        reach: (n,) how far joints may be from where `bound` is asked for [rad or m].
+        """
+        self._arm, self._reach = arm, reach
+        self._turns = arm.revolute.tolist()
+        self._at = np.full(len(reach), np.inf)  # joints that the levers were computed at …
+        self._levers = np.zeros((1, len(reach)))  # … of each end, those of all joints
+
+    def bound(self, q: FloatArray, error: FloatArray) -> float:
+        """No point is farther from where it would be without the error [m].
+
+        It holds at q and at all joints within `reach` of it: so also on the way to a set-point, as
+        an arm that is aside of its start gets there ever less aside.
+
+        Args:
+            q: (n,) joints.
+            error: (n,) of them.
+        """
+        if not (np.abs(q - self._at) <= self._reach).all():
+            self._refresh(q)
+        moved = np.zeros(len(self._levers))
+        for j in range(len(error) - 1, -1, -1):
+            moved += abs(error[j]) * (self._levers[:, j] + self._turns[j] * moved)
+        return float(moved.max())
+
+    def _refresh(self, q: FloatArray) -> None:
+        """The longest levers within twice the reach of q: they serve for a while."""
+        J = self._arm.axis_jacobians(q).reshape(-1, 3, len(q))
+        levers = np.linalg.norm(np.concatenate([J, self._arm.jacobian(q)[None, :3]]), axis=1)
+        moved = np.zeros(len(levers))
+        for j in range(len(q) - 1, -1, -1):
+            levers[:, j] += self._turns[j] * moved
+            moved += 2.0 * self._reach[j] * levers[:, j]
+        self._at, self._levers = q.copy(), levers

@@ -11,7 +11,7 @@ import pinocchio as pin
 import robots
 import vf
 from app.recording.export.messages import TYPES, Cdr
-from app.recording.format import Recording, RecordingError
+from app.recording.format import MEASURED, STATES, Recording, RecordingError
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -20,6 +20,8 @@ BASE, TIP = "base", "tip"
 TOPICS = {
     "setpoint_js": ("sensor_msgs/msg/JointState", "joints after the tick"),
     "setpoint_cp": ("geometry_msgs/msg/PoseStamped", "pose of the tip after the tick"),
+    "measured_js": ("sensor_msgs/msg/JointState", "joints that the arm measured before it"),
+    "operating_state": ("std_msgs/msg/String", "that of an arm that is elsewhere"),
     "goal_point": ("geometry_msgs/msg/PointStamped", "the proxy, where there is one"),
     "body/servo_cf": ("geometry_msgs/msg/WrenchStamped", "force on the hand, base frame"),
     "status": ("std_msgs/msg/String", "outcome of the tick"),
@@ -81,10 +83,11 @@ class _Bag:
         def put(topic: str, message: Cdr) -> None:
             self._put(f"/{arm.name}/{topic}", TOPICS[topic][0], message, at)
 
-        js = Cdr().header(at, BASE).u32(n)
-        for joint in arm.joints:
-            js.text(joint)
-        put("setpoint_js", js.list_f64(q.tolist()).list_f64(()).list_f64(()))
+        put("setpoint_js", _joints(arm, q, at))
+        if row["sensed"] == MEASURED:
+            put("measured_js", _joints(arm, row["measured"][:n], at))
+        if order["state"]:
+            put("operating_state", Cdr().text(STATES[int(order["state"])]))
         put("setpoint_cp", Cdr().header(at, BASE).f64(*p, *turn))
         tf = Cdr().u32(1).header(at, BASE).text(TIP).f64(*p, *turn)
         self._put("/tf", "tf2_msgs/msg/TFMessage", tf, at)
@@ -107,3 +110,11 @@ class _Bag:
         time = round(at * 1e9)
         self._writer.add_message(self._channels[topic], time, message.bytes(), time)
         self.count += 1
+
+
+def _joints(arm: robots.Arm, q: Any, at: float) -> Cdr:
+    """A JointState of joints (n,) at this time [s]."""
+    js = Cdr().header(at, BASE).u32(len(q))
+    for joint in arm.joints:
+        js.text(joint)
+    return js.list_f64(q.tolist()).list_f64(()).list_f64(())

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 import vf
-from app.recording.format import JOINTS, Recording, RecordingError
+from app.recording.format import JOINTS, MEASURED, STATES, Recording, RecordingError
 from app.words import format_length
 
 HEADING = (
@@ -14,7 +14,7 @@ HEADING = (
     "held", "command", *(f"q{k} [rad or m]" for k in range(1, JOINTS + 1)), "proxy x [m]",
     "proxy y [m]", "proxy z [m]", "tip x [m]", "tip y [m]", "tip z [m]", "force x [N]",
     "force y [N]", "force z [N]", "status", "distance [m]", "planes", "controller [s]",
-    "motion [s]",
+    "motion [s]", *(f"measured q{k} [rad or m]" for k in range(1, JOINTS + 1)), "state",
 )  # fmt: skip
 
 
@@ -61,5 +61,8 @@ def write(recording: Recording, path: Path) -> None:
                     row["planes"] if stepped else "",
                     f"{row['spent']:.9f}" if stepped else "",
                     row["phase"],
+                    *(row["measured"][:n].tolist() if row["sensed"] == MEASURED else [""] * n),
+                    *[""] * (JOINTS - n),
+                    STATES[int(order["state"])],
                 )
             )

@@ -158,3 +158,21 @@ def test_a_hand_jumps_when_it_outruns_a_hand() -> None:
         one = PoseBorder("")
         one.checked(pose(at=0.0))
         assert (one.checked(pose(R, p, at=1e-3)) is Reason.JUMP) == jumps
+
+
+def test_a_single_leap_after_a_gap_is_not_believed_a_second_one_is() -> None:
+    border = JointBorder(-np.ones(1) * 4, np.ones(1) * 4, np.ones(1))
+
+    def told(x: float, at: float) -> object:
+        return border.checked(Message("measured_js", numbers=[x], at=at))
+
+    assert isinstance(told(0.0, 0.0), np.ndarray)
+    # In 0.2 s it can have gone 0.8: one wrong value, and the arm is still where it was.
+    assert told(0.5, 0.2) is Reason.JUMP
+    assert isinstance(told(0.001, 0.201), np.ndarray)
+    # It is elsewhere, and says so again.
+    assert told(0.5, 0.4) is Reason.JUMP
+    assert isinstance(told(0.501, 0.401), np.ndarray)
+    # Farther than an arm can go it is not believed however often it says so.
+    assert told(3.0, 0.5) is Reason.JUMP
+    assert told(3.0, 0.501) is Reason.JUMP

@@ -10,12 +10,12 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 import vf
+from app.bench.counterparts.kinematics import tips
 from app.commands import call
 from app.recording.export import bag
 from app.recording.format import RecordingError
 from app.recording.read import read
 from app.settings import Options
-from tests.support.psm_tip import tips
 from tests.support.runs import a_run
 
 

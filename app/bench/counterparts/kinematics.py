@@ -19,9 +19,9 @@ _ROWS = (
 def tips(q: np.ndarray) -> np.ndarray:
     """Positions (k, 3) of the tip at joints (k, 6), base frame [m]."""
     T = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
-    for joint, (alpha, a, offset, d, prismatic) in enumerate(_ROWS):
+    for joint, (alpha, a, offset, shift, prismatic) in enumerate(_ROWS):
         theta = np.full(len(q), offset) if prismatic else q[:, joint] + offset
-        d = q[:, joint] + d if prismatic else np.full(len(q), d)
+        d = q[:, joint] + shift if prismatic else np.full(len(q), shift)
         ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
         A = np.zeros((len(q), 4, 4))
         A[:, 0] = np.stack([ct, -st, 0 * ct, 0 * ct + a], 1)
