@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from app.studies.people.progress import TOUCH, Progress
 from app.studies.people.tasks import Goal
+from app.view import palette
 from app.view.camera import View
 from app.view.drawing import nodes
 from app.view.units import to_buffer, to_view
@@ -56,8 +57,8 @@ class GoalDrawing:
             self._aim.position, self._aim.scale = to_view(progress.aim), float(to_view(TOUCH))
             return
         done = self._stations[1:] <= progress.station + 1e-6
-        colours = np.where(done[:, None, None], np.array(DONE), np.array(TODO))
-        self._line.colors = np.broadcast_to(colours, (len(done), 2, 3)).astype(np.uint8)
+        colours = palette.linear(np.where(done[:, None, None], np.array(DONE), np.array(TODO)))
+        self._line.colors = np.ascontiguousarray(np.broadcast_to(colours, (len(done), 2, 3)))
         k = min(int(np.searchsorted(self._stations, progress.station)), len(self._points) - 1)
         self._aim.position, self._aim.scale = to_view(self._points[k]), float(to_view(0.7e-3))
 

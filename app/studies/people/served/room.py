@@ -41,12 +41,12 @@ TITLES = {
     "cutting": "Cut along the line",
 }
 SENTENCES = {
-    "tracing": "Drag the tip of the instrument into the slot, and along it from one end of the "
-    "line to the other, at its bottom.",
+    "tracing": "Drag the tip of the instrument into the slot at the orange ball, and along its "
+    "bottom to the green one.",
     "targeting": "Drag the tip of the instrument into the ball, and hold it there until the next "
     "ball appears. Touch nothing else.",
-    "cutting": "Drag the tip of the instrument into the bone, and along the line to its end. Do "
-    "not go deeper than through the bone.",
+    "cutting": "Drag the tip of the instrument into the bone at the orange ball, and along the "
+    "line to the green one. Do not go deeper than through the bone.",
 }
 _PAUSED = "Press the button first"
 
