@@ -50,7 +50,7 @@ class StandIn:
         self.dt, self.lag, self.loss = 1.0 / said.rate, said.lag, said.loss
         self.silence = said.silence
         self.q = np.array(said.start)
-        self.setpoint = self.q.copy()
+        self.setpoint, self.home = self.q.copy(), float(self.q[2])
         self.noise = said.noise * np.array(NOISE)
         self.random = random.Random(7)
         self.rng = np.random.default_rng(7)
@@ -151,7 +151,9 @@ class StandIn:
             self.silent_until = now + self.silence
             return
         if fault == "far":
-            self.silent_until, self.pulled = now + UNHEARD, FAR
+            # Again and again it must not be pulled out of its range: then it is put back.
+            self.silent_until = now + UNHEARD
+            self.pulled = FAR if self.q[2] > self.home - 2.0 * FAR else -FAR
             return
         if fault == "nan":
             position[1] = math.nan

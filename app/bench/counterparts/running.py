@@ -103,8 +103,9 @@ class Counterpart:
 def process(*command: str) -> Iterator[Counterpart]:
     """A stand-in that is started by this command, and is ready; killed in the end."""
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as started:
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        start_new_session=True,  # Ctrl-C is not for it: it is told to quit
+    ) as started:  # fmt: skip
         try:
             found = Counterpart(started)
             if found.line() != "ready":

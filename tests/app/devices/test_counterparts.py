@@ -138,7 +138,7 @@ def test_every_fault_is_held_and_got_over_ten_times() -> None:
 
 def test_a_fault_that_is_not_held_is_a_complaint() -> None:
     """One that the guard has no reason to hold, in place of one that it must."""
-    (row,) = inject([("arm", "unknown to the arm")], 2, threading.Event())
+    (row,) = inject([("arm", "none")], 2, threading.Event())
     assert row["in time"] < 2
     assert "in two ticks" in row["complaints"][0]
 

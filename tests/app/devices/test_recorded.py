@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 from app.bench.counterparts.running import counterpart, free_port, guarded
 from app.recording import rerun
-from app.recording.export import table
+from app.recording.export import bag, table
 from app.recording.format import MEASURED, STATES, UNKNOWN
 from app.recording.playback import Player, build_scenes
 from app.recording.read import read
@@ -83,6 +85,20 @@ def test_what_entered_the_ticks_is_recorded_and_repeats(make: Make, tmp_path: Pa
     found = rerun.first_difference(recording)
     assert found is not None
     assert found.row == 200
+    assert bag.write(recording, tmp_path / "run.mcap") > 0
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        told = [one for _, _, _, one in reader.iter_decoded_messages(["/psm/measured_js"])]
+        file.seek(0)
+        words = [
+            one.data
+            for _, _, _, one in make_reader(
+                file, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages(["/psm/operating_state"])
+        ]
+    known = rows[rows["sensed"] == MEASURED]
+    np.testing.assert_array_equal([one.position for one in told], known["measured"][:, :6])
+    assert words == [STATES[k] for k in states]
     table.write(recording, tmp_path / "run.csv")
     lines = (tmp_path / "run.csv").read_text().splitlines()
     assert lines[0].endswith(",state")
