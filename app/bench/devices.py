@@ -71,9 +71,10 @@ def _side_by_side(
 ) -> Any:
     """Results of works that need processes of their own, so many at once, as they end."""
     with ThreadPoolExecutor(most) as pool:
-        pending = [pool.submit(work) for work in works]
+        pending = {pool.submit(work) for work in works}
         try:
-            for k, one in enumerate(as_completed(pending)):
+            for k, one in enumerate(as_completed(list(pending))):
+                pending.remove(one)
                 yield one.result()
                 advance((k + 1) / len(works))
         except KeyboardInterrupt:
