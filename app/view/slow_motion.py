@@ -46,10 +46,11 @@ class SlowMotion(Part):
             return
         if not self._source.live or self._context.fixture.suppressed:
             raise Refused("leave the replay or “Freeze and explore” first")
+        self._session.suspend(LAST)
         ticks = self._session.past
         if not ticks:
+            self._session.go_on()
             raise Refused("nothing has happened in this scene yet")
-        self._session.suspend(LAST)
         self._context.client_input.release()
         self._began = time.monotonic()
         self._ticks = ticks

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from app.console import Column, console, count, prepare, reason, show_table
 from app.options import parse_as
-from app.serving import _show
+from app.serving import open_browser
 from app.settings import Options
 
 numbers = st.text("0123456789,.-+e% µ", min_size=1, max_size=14).map(
@@ -103,7 +103,7 @@ def test_the_browser_is_opened_without_waiting_for_it(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(webbrowser, "open", browse)
     out = io.StringIO()
-    _show("http://127.0.0.1:8080", Console(file=out))
+    open_browser("http://127.0.0.1:8080", Console(file=out))
     assert opened.wait(20.0)
     assert seen == ["http://127.0.0.1:8080"]
     leave.set()

@@ -187,7 +187,11 @@ def test_nor_does_a_noisy_one_that_misses_much(changes: dict[str, Any]) -> None:
     run = Run(scene)
     run.go(3000, deep(scene))
     assert run.heights().min() > 0.0
-    assert vf.Status.OVERTAKEN not in {t.step.status for t in run.seen if t.step is not None}
+    # What is seen displaced by noise is somewhere else at once, its margin with it: until the tool
+    # has left that, the cube may be in it for all that is known.
+    most = max(run.plant.movement().margin(t.phase) for t in run.seen)
+    late = [t.step for t in run.seen if t.step and t.step.status == vf.Status.OVERTAKEN]
+    assert all(0.0 < step.violation <= most for step in late)
 
 
 def test_with_a_bound_of_nothing_it_is_touched() -> None:
