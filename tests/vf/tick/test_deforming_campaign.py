@@ -164,13 +164,13 @@ def test_no_part_of_the_instrument_is_met_unless_it_was_overtaken() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(0, 12, 2))
+@pytest.mark.parametrize("seed", range(0, 12, 4))
 def test_nothing_is_met_in_long_campaigns(seed: int) -> None:
     of_tip(seed, 1500, [1e-3, 1e-2][seed // 6])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 6])
+@pytest.mark.parametrize("seed", [1, 6])
 def test_no_part_is_met_in_long_campaigns(seed: int) -> None:
     of_tool(seed, 800, [1e-3, 5e-3][seed // 4])
 

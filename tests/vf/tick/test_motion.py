@@ -369,6 +369,6 @@ def test_nothing_is_met_unless_the_tool_was_overtaken(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(0, 12, 3))
 def test_nothing_is_met_in_long_campaigns_unless_the_tool_was_overtaken(seed: int) -> None:
     campaign(seed, 2000, [1e-3, 1e-2][seed // 4 % 2])

@@ -86,6 +86,6 @@ def test_no_part_is_met_unless_the_tool_was_overtaken(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(0, 8, 3))
 def test_no_part_is_met_in_long_campaigns_unless_the_tool_was_overtaken(seed: int) -> None:
     campaign(seed, 1500, [1e-3, 5e-3][seed // 4])
