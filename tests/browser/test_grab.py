@@ -117,6 +117,7 @@ def test_the_mouse_alone_touches_the_bone_slides_along_it_and_lifts_off(
             mouse.move(at[0] + 100.0, at[1] + 260.0 - 300.0 * share)
             visitor.tab.wait_for_timeout(40)
         wait_until(lambda: gap() > 5e-3, "the lift", 20.0)
+    wait_until(lambda: not visitor.page.dragging, "the release")
     assert session.crossing is None
 
 
@@ -206,15 +207,15 @@ def test_a_finger_moves_the_tool_on_a_phone(browser: Any, page: Page, session: S
         # A second finger that comes nearer to the first moves it away, one that circles turns it.
         held = at + np.array([60.0, -20.0])
         start, axes = session.handle.copy(), camera_axes(phone)
-        finger("touchStart", held, held + np.array([0.0, 140.0]))
+        finger("touchStart", held, held - np.array([140.0, 0.0]))
         for k in range(1, 11):
-            finger("touchMove", held, held + np.array([0.0, 140.0 - 6.0 * k]))
+            finger("touchMove", held, held - np.array([140.0 - 6.0 * k, 0.0]))
             tab.wait_for_timeout(60)
         depth = lambda: axes[:, 2] @ (session.handle.translation - start.translation)  # noqa: E731
         wait_until(lambda: depth() > 0.8e-3, "the tool to go away", 30.0)
         for k in range(1, 11):
             angle = 0.06 * k
-            finger("touchMove", held, held + 80.0 * np.array([-np.sin(angle), np.cos(angle)]))
+            finger("touchMove", held, held - 80.0 * np.array([np.cos(angle), np.sin(angle)]))
             tab.wait_for_timeout(60)
         turn = lambda: pin.log3(session.handle.rotation @ start.rotation.T)  # noqa: E731
         wait_until(lambda: turn() @ axes[:, 2] > 0.4, "the turn", 30.0)
