@@ -58,18 +58,13 @@ from app.view.tabs.signals import Signals
 
 log = logging.getLogger(__name__)
 
-# An update takes about 10 ms of the interpreter while everything moves: viser compares and packs
-# each node.
-FRAME_PERIOD = 1.0 / 25.0  # of the scene's updates [s]
-MIN_PAUSE = 0.008  # between two updates, for the other threads [s]
 READOUT_PERIOD = 0.25  # of the read-outs' updates [s]
-DRAG_DELAY = 0.004  # from a drag message to its update: time for some ticks [s]
 
 
 class Page:
     """Serves a session to browsers. Close it before the session.
 
-    The view thread reads `session.latest()` every `FRAME_PERIOD` and after each message of a drag,
+    The view thread reads `session.latest()` 25 times a second and after each message of a drag,
     and writes viser's nodes, which takes about 0.1 ms each: only those that changed, and only while
     a client is connected. It never waits for the control thread.
     """
@@ -257,11 +252,7 @@ class Page:
         raise_thread_priority(VIEW_PRIORITY)
         due = began = time.monotonic()
         while not self._stop.is_set():
-            self._stop.wait(MIN_PAUSE)
-            if self._input.moved.wait(max(began + FRAME_PERIOD - time.monotonic(), 0.0)):
-                self._stop.wait(DRAG_DELAY)
-                self._input.moved.clear()
-            began = time.monotonic()
+            began = self._input.wait_for_frame(began, self._stop)
             try:
                 if not self._server.get_clients():
                     self._input.update(None, False)

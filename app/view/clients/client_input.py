@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -25,6 +26,11 @@ log = logging.getLogger(__name__)
 Notify = Callable[[viser.ClientHandle | None, str], None]
 
 GIZMO = "gizmo"  # what is dragged
+# An update takes about 10 ms of the interpreter while everything moves: viser compares and packs
+# each node.
+FRAME_PERIOD = 1.0 / 25.0  # of the scene's updates [s]
+MIN_PAUSE = 0.008  # between two updates, for the other threads [s]
+DRAG_DELAY = 0.004  # from a drag message to its update: time for some ticks [s]
 
 
 class ClientInput:
@@ -102,6 +108,21 @@ class ClientInput:
             # In this order: a drag that ends meanwhile sets `_shown` to None, which must persist.
             self._shown = handle
             self._proxy.place(handle)
+
+    def wait_for_frame(self, began: float, stop: threading.Event) -> float:
+        """On the view thread: wait until it is time to draw, or the handle has moved.
+
+        Args:
+            began: when the last update began, by the monotonic clock [s].
+
+        Returns:
+            When this one begins.
+        """
+        stop.wait(MIN_PAUSE)
+        if self.moved.wait(max(began + FRAME_PERIOD - time.monotonic(), 0.0)):
+            stop.wait(DRAG_DELAY)
+            self.moved.clear()
+        return time.monotonic()
 
     def release(self) -> None:
         """End the drag, if there is one."""

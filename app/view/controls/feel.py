@@ -8,12 +8,14 @@ text field behind it.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import viser
 
 from app.scene.moment import Moment
+from app.view.clients.client_input import ClientInput
 from app.view.clients.gamepad import Gamepad
 from app.view.clients.grab import Grab
 from app.view.context import PageContext
@@ -30,21 +32,81 @@ MIN_FORCE = 0.02  # a weaker force is not heard [N]
 MIN_PUSH = 1e-6  # of a plane that holds [m]
 
 
+class Senses:
+    """The element that tells browsers what to play, and the field in which their script answers.
+
+    It says nothing of contacts while neither sound nor gamepad is on.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        client_input: ClientInput,
+        grab: Grab,
+        take: Callable[[viser.ClientHandle, str], None] | None = None,
+    ) -> None:
+        """Add both.
+
+        Args:
+            grab: is told of the wheel and the second finger.
+            take: on the input's worker, is told what a gamepad says; None: nobody is.
+        """
+        self._grab = grab
+        self._contacts, self._touching, self._said = 0, False, ""
+        self._element: Any = gui.add_html("")
+        field: Any = gui.add_text("Gamepad", "")
+
+        @field.on_update
+        async def _answered(event: viser.GuiEvent[Any]) -> None:
+            kind, _, said = str(event.target.value).partition(":")
+            if event.client is None:
+                return
+            if kind == "reach":
+                client_input.submit(self._reach, event.client, said)
+            elif kind == "pad" and take is not None:
+                client_input.submit(take, event.client, said)
+
+        self._say(False, False, "0", "0")
+
+    def frame(self, shown: Moment, sound: bool, gamepad: bool = False) -> None:
+        """From the view thread: say what is heard and felt."""
+        force = float(np.linalg.norm(shown.force))
+        of = holder(shown)
+        # In free space there is a force too, of the way by which the tool is behind the proxy.
+        touching = of is not None and force > MIN_FORCE
+        self._contacts += (sound or gamepad) and touching and not self._touching
+        self._touching = touching
+        if not sound or of is None or not touching:
+            self._say(sound, gamepad, "0", "0")
+            return
+        level = LOUDEST * min(force / FULL, 1.0)
+        self._say(sound, gamepad, f"{pitch(of, force):.0f}", f"{level:.3f}")
+
+    def _reach(self, client: viser.ClientHandle, said: str) -> None:
+        with contextlib.suppress(ValueError):  # of a client that is not the page
+            depth, turn, _ = map(float, said.split("|"))
+            self._grab.reach(client, depth, turn)
+
+    def _say(self, sound: bool, gamepad: bool, hertz: str, level: str) -> None:
+        said = (
+            f"<div class='vf-orders vf-hand' data-sound='{int(sound)}' "
+            f"data-gamepad='{int(gamepad)}' data-held='{int(self._grab.holds)}' "
+            f"data-pitch='{hertz}' data-level='{level}' data-contacts='{self._contacts}'></div>"
+        )
+        if said != self._said:
+            self._said = said
+            self._element.content = said
+
+
 class Feel(Part):
-    """The switches, and the element that tells the browsers what to play."""
+    """The folder with its switches."""
 
     def __init__(self, context: PageContext, grab: Grab) -> None:
         """`grab` is told of the wheel and the second finger."""
         gui = context.server.gui
-        self._grab = grab
-        self._source = context.source
         self._input = context.client_input
         self._gamepad = Gamepad(context.session, context.client_input)
-        self._contacts = 0
-        self._touching = False
-        self._said = ""
-        self._element: Any = gui.add_html("")
-        field: Any = gui.add_text("Gamepad", "")
+        self._senses = Senses(gui, context.client_input, grab, self._take)
         with gui.add_folder("Hand", expand_by_default=False) as self.folder:
             self._sound: Any = gui.add_checkbox(
                 "Sound",
@@ -60,53 +122,18 @@ class Feel(Part):
                 "A trigger: fine. First button: clutch. It vibrates at a contact.",
             )
 
-        @field.on_update
-        async def _said(event: viser.GuiEvent[Any]) -> None:
-            kind, _, said = str(event.target.value).partition(":")
-            if event.client is None:
-                return
-            if kind == "reach":
-                self._input.submit(self._reach, event.client, said)
-            elif kind == "pad" and self._pad.value:
-                self._input.submit(self._gamepad.take, event.client, said)
-
         @self._pad.on_update
         async def _switched(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None and not event.target.value:
                 self._input.submit(self._gamepad.end, event.client)
 
-        self._say("0", "0")
-
     def frame(self, shown: Moment, clients: Clients) -> None:
         self._gamepad.forget(clients)
-        force = float(np.linalg.norm(shown.force))
-        of = holder(shown)
-        # In free space there is a force too, of the way by which the tool is behind the proxy.
-        touching = of is not None and force > MIN_FORCE
-        if touching and not self._touching:
-            self._contacts += 1
-        self._touching = touching
-        if not self._sound.value or of is None or not touching:
-            self._say("0", "0")
-            return
-        level = LOUDEST * min(force / FULL, 1.0)
-        self._say(f"{pitch(of, force):.0f}", f"{level:.3f}")
+        self._senses.frame(shown, bool(self._sound.value), bool(self._pad.value))
 
-    def _reach(self, client: viser.ClientHandle, said: str) -> None:
-        with contextlib.suppress(ValueError):  # of a client that is not the page
-            depth, turn, _ = map(float, said.split("|"))
-            self._grab.reach(client, depth, turn)
-
-    def _say(self, hertz: str, level: str) -> None:
-        on = self._sound.value, self._pad.value
-        said = (
-            f"<div class='vf-orders vf-hand' data-sound='{int(on[0])}' data-gamepad='{int(on[1])}' "
-            f"data-held='{int(self._grab.holds)}' "
-            f"data-pitch='{hertz}' data-level='{level}' data-contacts='{self._contacts}'></div>"
-        )
-        if said != self._said:
-            self._said = said
-            self._element.content = said
+    def _take(self, client: viser.ClientHandle, said: str) -> None:
+        if self._pad.value:
+            self._gamepad.take(client, said)
 
 
 def holder(shown: Moment) -> int | None:

@@ -15,7 +15,7 @@ from app.view.units import to_buffer, to_view
 
 FloatArray = NDArray[np.float64]
 
-TODO, DONE, AIM = (230, 120, 20), (0, 158, 115), (213, 94, 0)
+AHEAD, DONE, AIM = (230, 120, 20), (0, 158, 115), (213, 94, 0)
 LIFT = 0.3e-3  # of a line above the bone [m]
 FROM = np.array([0.62, -0.30, 0.72])  # where the eye is, seen from the middle of what is to be done
 DISTANCE = 0.075  # of the eye [m]
@@ -57,7 +57,7 @@ class GoalDrawing:
             self._aim.position, self._aim.scale = to_view(progress.aim), float(to_view(TOUCH))
             return
         done = self._stations[1:] <= progress.station + 1e-6
-        colours = palette.linear(np.where(done[:, None, None], np.array(DONE), np.array(TODO)))
+        colours = palette.linear(np.where(done[:, None, None], np.array(DONE), np.array(AHEAD)))
         self._line.colors = np.ascontiguousarray(np.broadcast_to(colours, (len(done), 2, 3)))
         k = min(int(np.searchsorted(self._stations, progress.station)), len(self._points) - 1)
         self._aim.position, self._aim.scale = to_view(self._points[k]), float(to_view(0.7e-3))

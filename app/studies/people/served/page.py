@@ -8,11 +8,9 @@ import threading
 import time
 from typing import Any, cast
 
-import numpy as np
 import viser
 
 from app.control.priority import VIEW_PRIORITY, raise_thread_priority
-from app.scene.moment import Moment
 from app.session import Session
 from app.studies.people.hand import Hand
 from app.studies.people.progress import Progress
@@ -32,8 +30,6 @@ from app.view.source import Source
 
 log = logging.getLogger(__name__)
 
-FRAME_PERIOD = 1.0 / 25.0  # [s]
-DRAG_DELAY = 0.004  # from a drag message to its update [s]
 _STYLE = """<style>
 .vf-task { padding: .2em .9em .4em; color: var(--vf-ink); font-size: 14.5px; line-height: 1.45; }
 .vf-task h1 { font-size: 19px; line-height: 1.25; margin: .2em 0 .1em; }
@@ -74,8 +70,7 @@ class TrialPage:
         self.hidden = True
         self._progress: Progress | None = None
         self._text: tuple[str, str, str] = ("", "", "")
-        self._said = self._heard = ""
-        self._touching, self._contacts = False, 0
+        self._said = ""
         self._scene_version = -1
         source = self._source = Source(session)
         labels = self._labels = Labels(server)
@@ -96,9 +91,7 @@ class TrialPage:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(330)
         gui.add_html(style.sheet() + _STYLE)
-        # The browser's script plays what this element says; viser shows the field behind it not.
-        self._ears: Any = gui.add_html("")
-        gui.add_text("Sound", "")
+        self._senses = feel.Senses(gui, self._input, grab)
         self._panel: Any = gui.add_html("")
         self._button: Any = gui.add_button("Start", visible=False)
         self._below: Any = gui.add_html("")
@@ -107,7 +100,6 @@ class TrialPage:
         async def _pressed(_event: viser.GuiEvent[Any]) -> None:
             self.begin.set()
 
-        self._hear("0", "0")
         self.tell("One moment", "The next task is being prepared.")
         self._stop = threading.Event()
         self._frame()
@@ -187,11 +179,7 @@ class TrialPage:
         raise_thread_priority(VIEW_PRIORITY)
         began = time.monotonic()
         while not self._stop.is_set():
-            self._stop.wait(0.008)
-            if self._input.moved.wait(max(began + FRAME_PERIOD - time.monotonic(), 0.0)):
-                self._stop.wait(DRAG_DELAY)
-                self._input.moved.clear()
-            began = time.monotonic()
+            began = self._input.wait_for_frame(began, self._stop)
             try:
                 if self.watched:
                     self._frame()
@@ -224,29 +212,7 @@ class TrialPage:
             if self._progress is not None:
                 self._goal.frame(self._progress)
             self._write()
-            self._listen(shown)
-
-    def _listen(self, shown: Moment) -> None:
-        force = float(np.linalg.norm(shown.force))
-        of = feel.holder(shown)
-        touching = of is not None and force > feel.MIN_FORCE
-        self._contacts += touching and not self._touching
-        self._touching = touching
-        if of is None or not touching or not self.sound:
-            self._hear("0", "0")
-            return
-        level = feel.LOUDEST * min(force / feel.FULL, 1.0)
-        self._hear(f"{feel.pitch(of, force):.0f}", f"{level:.3f}")
-
-    def _hear(self, hertz: str, level: str) -> None:
-        contacts = self._contacts if self.sound else 0
-        said = (
-            f"<div class='vf-orders vf-hand' data-sound='{int(self.sound)}' data-gamepad='0' "
-            f"data-pitch='{hertz}' data-level='{level}' data-contacts='{contacts}'></div>"
-        )
-        if said != self._heard:
-            self._heard = said
-            self._ears.content = said
+            self._senses.frame(shown, self.sound)
 
     def _notify(self, client: viser.ClientHandle | None, text: str) -> None:
         if client is not None and client.client_id in self._server.get_clients():
