@@ -123,7 +123,7 @@ STATUS_HELP: dict[vf.Status, str] = {
     vf.Status.RECOVERING: "out to the standoff",
     vf.Status.INSIDE: "inside the anatomy",
     vf.Status.REFUSED: "proxy unusable",
-    vf.Status.OVERTAKEN: "faster anatomy than the arm",
+    vf.Status.OVERTAKEN: "the anatomy may be in the tool",
 }
 
 SOLVER_HELP: dict[vf.Solver, str] = {

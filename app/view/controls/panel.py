@@ -182,7 +182,7 @@ class Panel(Part):
             self._radius = self._number("Radius", "radius", 0.05)
             self._number("Tip radius", "tip_radius", 0.1)
             self._number("Standoff", "standoff", 5.0)
-            self._number("Approach", "approach", 5.0)
+            self._number("Approach limit", "approach", 5.0)
             self._number("Trocar zone", "trocar", 1.0)
         self._bind(self._rule, lambda value: session.set(rule=str(value)))
         self._bind(self._guard, lambda value: session.set(guard=str(value)))
