@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 import vf
 
+STATES = ("", "DISABLED", "ENABLED", "PAUSED", "FAULT")
+"""Operating states of an arm, in messages and recordings by their index; empty: no devices."""
+
 
 @dataclass(frozen=True)
 class Command:

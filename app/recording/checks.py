@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vf
-from app.recording.format import STATES, UNKNOWN, Recording, RecordingError
+from app.control.messages import STATES
+from app.recording.format import UNKNOWN, Recording, RecordingError
 from app.settings import number
 
 

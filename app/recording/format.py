@@ -100,7 +100,7 @@ ORDERS = np.dtype(
         ("lock", "u1"),  # of the orientation
         ("moving", "u1"),  # whether structures that have a motion move …
         ("pace", "<f8"),  # … and how fast, over their own speed
-        ("state", "u1"),  # operating state of an arm: index of `STATES`
+        ("state", "u1"),  # operating state of an arm: index of `messages.STATES`
     ]
 )
 ROWS = np.dtype(
@@ -132,8 +132,6 @@ ROWS = np.dtype(
 )
 SIMULATED, MEASURED, UNKNOWN = range(3)
 """Of the column `sensed`: the arm is where the tick before put it; where it measures; not known."""
-STATES = ("", "DISABLED", "ENABLED", "PAUSED", "FAULT")
-"""Of the column `state`; empty: there are no devices."""
 LATER: dict[int, dict[str, object]] = {
     5: {"moving": 1, "pace": 1.0, "phase": 0.0, "lost": 0},
     7: {"state": 0, "sensed": SIMULATED, "measured": 0.0},

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import meshes
 from app.control.engine import Engine, Orders, Plant
-from app.control.messages import LoopStats, Telemetry
+from app.control.messages import STATES, LoopStats, Telemetry
 from app.files import shown
 from app.motion.movement import checksum, streamed
 from app.recording.format import (
@@ -20,7 +20,6 @@ from app.recording.format import (
     MEASURED,
     ROWS,
     SIMULATED,
-    STATES,
     Place,
     Recording,
     RecordingError,

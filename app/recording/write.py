@@ -21,7 +21,7 @@ import vf
 from app import choices
 from app.control.autopilot import Course
 from app.control.engine import Orders, Plant
-from app.control.messages import State, Telemetry
+from app.control.messages import STATES, State, Telemetry
 from app.files import numbered
 from app.motion.movement import checksum, streamed
 from app.motion.stream import Frame, Stream
@@ -45,7 +45,6 @@ from app.recording.format import (
     ROWS,
     SHAP,
     SHAPE,
-    STATES,
     VERSION,
     RecordingError,
     chained,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import vf
 from app.control.clock import Timing
 from app.control.engine import Engine, Orders, Plant
-from app.control.messages import Command, LoopStats, State, Telemetry
+from app.control.messages import STATES, Command, LoopStats, State, Telemetry
 
 # Number of the orders and of their plant; driven, clutch, held, paused, autopilot, lock, moving;
 # sequence, steps, resets; stamp, scale, pace; target (3, 4).
@@ -29,7 +29,6 @@ _TICK = struct.Struct("<Q8?qqqqqqQdddQBB?3x??ddd")
 # What devices made of the orders: driven, clutch, held, autopilot; joints known, measured;
 # operating state; sequence; stamp; target (3, 4). The measured joints follow.
 _DEVICES = struct.Struct("<6?Bxqd12d")
-_STATES = ("", "DISABLED", "ENABLED", "PAUSED", "FAULT")
 _POSE = 96  # of a pose (3, 4) [byte]
 _NO_POSE = bytes(_POSE)
 
@@ -246,7 +245,7 @@ def _packed_devices(made: Orders, telemetry: Telemetry) -> bytes:
         made.autopilot,
         telemetry.known,
         measured is not None,
-        _STATES.index(made.state),
+        STATES.index(made.state),
         command.sequence,
         command.stamp,
         *(np.zeros(12) if target is None else target.homogeneous[:3].ravel()),
@@ -264,7 +263,7 @@ def _devices(
     T = np.array(target).reshape(3, 4)
     pose = pin.SE3(T[:, :3], T[:, 3]) if driven else None
     measured = np.frombuffer(message, np.float64, joints, at + _DEVICES.size) if senses else None
-    made = Command(pose, sequence, clutch, held, stamp), autopilot, _STATES[state]
+    made = Command(pose, sequence, clutch, held, stamp), autopilot, STATES[state]
     return known, measured, made
 
 

@@ -10,8 +10,9 @@ import pinocchio as pin
 
 import robots
 import vf
+from app.control.messages import STATES
 from app.recording.export.messages import TYPES, Cdr
-from app.recording.format import MEASURED, STATES, Recording, RecordingError
+from app.recording.format import MEASURED, Recording, RecordingError
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -6,7 +6,8 @@ import csv
 from pathlib import Path
 
 import vf
-from app.recording.format import JOINTS, MEASURED, STATES, Recording, RecordingError
+from app.control.messages import STATES
+from app.recording.format import JOINTS, MEASURED, Recording, RecordingError
 from app.words import format_length
 
 HEADING = (

@@ -12,9 +12,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from app.bench.counterparts.running import counterpart, free_port, guarded
+from app.control.messages import STATES
 from app.recording import rerun
 from app.recording.export import bag, table
-from app.recording.format import MEASURED, STATES, UNKNOWN
+from app.recording.format import MEASURED, UNKNOWN
 from app.recording.playback import Player, build_scenes
 from app.recording.read import read
 from app.recording.write import Recorder
