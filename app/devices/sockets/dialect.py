@@ -11,13 +11,17 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import msgspec
+
 from app.devices.remote.messages import Message
 
 LARGEST = 8192  # of a datagram that is read [byte]
 LARGEST_SENT = 1000  # the streamer reads no more than 1024 of a datagram [byte]
 MOST_NAMES = 32  # of a datagram
 _STATES = ("UNDEFINED", "DISABLED", "ENABLED", "PAUSED", "FAULT")
-_write = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+_read = msgspec.json.Decoder().decode
+_write = msgspec.json.Encoder().encode
+_write_finite = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _COMMANDS = ("servo_", "move_", "interpolate_")
 
 
@@ -32,9 +36,13 @@ def decode(data: bytes, at: float) -> list[Message]:
         Unreadable: it is not of the dialect.
     """
     try:
-        content = json.loads(data)
-    except (ValueError, RecursionError):
-        raise Unreadable("not JSON") from None
+        content = _read(data)
+    except (msgspec.MsgspecError, RecursionError):
+        # It is several times as fast, and knows neither NaN nor numbers beyond the doubles.
+        try:
+            content = json.loads(data)
+        except (ValueError, RecursionError):
+            raise Unreadable("not JSON") from None
     if not isinstance(content, dict):
         raise Unreadable("not a JSON object")
     if len(content) > MOST_NAMES:
@@ -123,7 +131,9 @@ def encode(message: Message) -> bytes:
         value = dict(zip(("Average", "StdDev", "Min", "Max"), numbers, strict=True)) | stamp
     else:  # hold, free, state_command
         value = message.text
-    data = _write({name: value}).encode()
+    data = _write({name: value})
+    if b"null" in data:  # a number that is not finite, or a word
+        data = _write_finite({name: value}).encode()
     if len(data) > LARGEST_SENT:
         raise ValueError(f"{name} takes {len(data)} byte, the streamer reads {LARGEST_SENT}")
     return data
