@@ -15,6 +15,7 @@ import pytest
 
 from app.recording.read import read
 from app.studies.people.folder import Study
+from app.studies.people.served.room import AWAY
 
 pytestmark = pytest.mark.slow
 
@@ -163,6 +164,7 @@ def test_a_sitting_survives_a_closed_tab_and_a_killed_server(
     start(tab).click()
     tab.wait_for_timeout(500)
     tab.context.close()
+    time.sleep(AWAY + 2.0)  # who is back before that goes on with the trial
     again = new_tab()
     enter(again, server, "P1")
     start(again).wait_for()
