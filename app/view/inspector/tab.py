@@ -155,7 +155,10 @@ class InspectorTab(Part):
         if inspection is None:
             return None
         subject = inspection.subject
-        if subject.scene is not self._scene or (subject.step is None) != self._exploring:
+        if (
+            subject.scene.version != self._scene.version
+            or (subject.step is None) != self._exploring
+        ):
             return None
         if self._exploring and subject.surface is not self._surface:
             return None
@@ -165,7 +168,7 @@ class InspectorTab(Part):
         options, scene, step = shown.options, self._scene, shown.telemetry.step
         if not self._exploring:
             chosen = None if self._chosen is None else self._of
-            return at_tool(shown, chosen) if shown.scene is scene else None
+            return at_tool(shown, chosen) if shown.scene.version == scene.version else None
         if step is None or shown.telemetry.scene != scene.version:
             return None
         if self._case is None:

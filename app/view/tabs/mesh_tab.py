@@ -335,7 +335,7 @@ class MeshTab(Part):
             found = meshes.health(
                 surface, progress=lambda stage: self._progress(f"examining: {stage}")
             )
-        if scene is not self._session.scene:
+        if scene.version != self._session.scene.version:
             return
         # Clear of the drawn mesh, which may be decimated.
         lift = 0.04 * surface.median_edge + (1e-3 * surface.size) * decimated

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.control.autopilot import Course
 from app.session import Session
 from app.view import Page
 from app.view.drawing import section
@@ -63,3 +64,32 @@ def test_the_chosen_structure_is_examined_and_the_report_names_it(page: Page) ->
     tab._run_examination(scene)
     assert structured.NAMES[1] not in tab._report.content
     tab._run_examination(scene, 99)  # gone meanwhile: nothing happens
+
+
+def test_a_script_that_begins_after_the_scene_was_drawn_does_not_silence_the_tabs(
+    page: Page,
+) -> None:
+    """The session's scene is another object then, of the same version."""
+    session = page._source._session
+    before = page._source.now().scene
+    here = before.T_base_start
+    session.perform(
+        Course(np.array(here.rotation), np.array([0.0, 9.0]), np.array(2 * [here.translation]))
+    )
+    wait_until(lambda: session.latest().tick > 2)
+    page._frame()
+    assert session.scene is not before
+    parts: dict[str, Any] = {type(part).__name__: part for part in page._parts}
+    inspector, mesh = parts["InspectorTab"], parts["MeshTab"]
+    inspector._on = True
+
+    def inspected() -> bool:
+        with page.server.atomic():
+            inspector.frame(page._source.now(), {})
+        return inspector._newest() is not None
+
+    wait_until(inspected)
+    inspector._on = False
+    mesh._report.content = ""
+    mesh._run_examination(before)
+    assert mesh._report.content
