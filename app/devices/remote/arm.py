@@ -13,6 +13,7 @@ from app.devices.remote.messages import Message, Transport
 from app.devices.remote.tracked import Tracked
 from app.kinds.links import Address
 from robots import Arm
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 PASSED_ON = ("jaw/measured_js", "jaw/setpoint_js", "error", "warning", "status")
@@ -63,6 +64,8 @@ class RemoteArm:
         self._age = address.age + address.link.latest
         # As many ticks as the arm may be behind, at 1 kHz; more often there are fewer new segments.
         self._path = Tracked(model, 32 + math.ceil(2e3 * address.link.latest), self._reach)
+        self._ways = np.zeros((3, len(model.lower)))
+        share_within(self._ways, self._step)  # compiled now
         self._now = 0.0
 
     def poll(self, now: float) -> None:
@@ -118,7 +121,10 @@ class RemoteArm:
             return
         self._path.add(self.q, q)
         before = self.q if self.sent is None else self.sent
-        self.sent = along(self.q, q, before, self._step)
+        ways = self._ways
+        ways[0], ways[1], ways[2] = self.q, q, before
+        share = share_within(ways, self._step)
+        self.sent = self.q + share * (q - self.q)
         self._send("servo_jp", numbers=self.sent.tolist())
 
     def join(self) -> None:
@@ -147,22 +153,26 @@ class RemoteArm:
         self.transport.send(Message(name, **values), self._now)
 
 
-def along(start: FloatArray, end: FloatArray, before: FloatArray, step: FloatArray) -> FloatArray:
-    """The farthest point from start to end that is a step or less from the set-point before.
+@njit(cache=True)
+def share_within(ways, step):  # type: ignore[no-untyped-def]
+    """The largest share of a way, 0 … 1, that ends a step (n,) or less from the set-point before.
 
-    All (n,). If all points are farther than that, it is the nearest, by the joint farthest off.
+    `ways`: (3, n) where the way starts and ends, and the set-point before. If all of the way is
+    farther off than that, it is the nearest point, by the joint farthest off.
     """
-    way = end - start
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (before - step - start) / way, (before + step - start) / way
-    moves = way != 0.0
-    if not moves.any():
-        return end
-    # The first and last share of the way at which each joint is within its step.
-    first = np.where(moves, np.minimum(one, other), 0.0).max()
-    last = np.where(moves, np.maximum(one, other), 1.0).min()
+    first, last, moves = -np.inf, np.inf, False
+    for j in range(ways.shape[1]):
+        start, way = ways[0, j], ways[1, j] - ways[0, j]
+        if way == 0.0:
+            continue
+        moves = True
+        one, other = (ways[2, j] - step[j] - start) / way, (ways[2, j] + step[j] - start) / way
+        first, last = max(first, min(one, other)), min(last, max(one, other))
+    if not moves:
+        return 1.0
+    first, last = max(first, 0.0), min(last, 1.0)
     share = last if last >= first else 0.5 * (first + last)
-    return start + min(max(share, 0.0), 1.0) * way
+    return min(max(share, 0.0), 1.0)
 
 
 def jaw_of(message: Message) -> float | Reason:

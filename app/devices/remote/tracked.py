@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots import Arm
+from vf.kernels import njit
 
 FloatArray = NDArray[np.float64]
 
@@ -32,8 +33,12 @@ class Tracked:
         self._starts = np.zeros((segments, n))
         self._ways = np.zeros((segments, n))
         self._squares = np.ones(segments)
+        self._found = np.zeros((3, n))  # joints, the nearest ones on a segment, how far from them
         self._next = self._filled = 0
         self._levers = Levers(arm, reach)
+        self.anchor(arm.neutral)
+        self.error(arm.neutral, True)  # compiled now
+        self._next = self._filled = 0
 
     def anchor(self, q: FloatArray) -> None:
         """Forget all segments: the arm is to be where it is now."""
@@ -62,14 +67,12 @@ class Tracked:
         m = self._filled
         if m == 0:
             return 0.0, 0.0
-        offsets = self._weights * q - self._starts[:m]
-        ways = self._ways[:m]
-        share = np.clip((offsets * ways).sum(1) / self._squares[:m], 0.0, 1.0)
-        rest = offsets - share[:, None] * ways
-        k = int((rest * rest).sum(1).argmin())
-        on_path = (self._starts[k] + share[k] * ways[k]) / self._weights
+        found = self._found
+        found[0] = q
+        _nearest(found, self._weights, self._starts, self._ways, self._squares, m)
+        on_path = found[1]
         tip = math.dist(self._arm.tip(q).translation, self._arm.tip(on_path).translation)
-        return tip, self._levers.bound(q, rest[k] / self._weights) if whole else tip
+        return tip, self._levers.bound(q, found[2]) if whole else tip
 
 
 class Levers:
@@ -88,7 +91,8 @@ class Levers:
         reach: (n,) how far joints may be from where `bound` is asked for [rad or m].
         """
         self._arm, self._reach = arm, reach
-        self._turns = arm.revolute.tolist()
+        self._turns = np.array(arm.revolute, dtype=np.float64)
+        self._asked = np.zeros((2, len(reach)))
         self._at = np.full(len(reach), np.inf)  # joints that the levers were computed at …
         self._levers = np.zeros((1, len(reach)))  # … of each end, those of all joints
 
@@ -102,12 +106,13 @@ class Levers:
             q: (n,) joints.
             error: (n,) of them.
         """
-        if not (np.abs(q - self._at) <= self._reach).all():
+        asked = self._asked
+        asked[0], asked[1] = q, error
+        bound = _bound(asked, self._at, self._reach, self._turns, self._levers)
+        if bound < 0.0:
             self._refresh(q)
-        moved = np.zeros(len(self._levers))
-        for j in range(len(error) - 1, -1, -1):
-            moved += abs(error[j]) * (self._levers[:, j] + self._turns[j] * moved)
-        return float(moved.max())
+            bound = _bound(asked, self._at, self._reach, self._turns, self._levers)
+        return float(bound)
 
     def _refresh(self, q: FloatArray) -> None:
         """The longest levers within twice the reach of q: they serve for a while."""
@@ -118,3 +123,39 @@ class Levers:
             levers[:, j] += self._turns[j] * moved
             moved += 2.0 * self._reach[j] * levers[:, j]
         self._at, self._levers = q.copy(), levers
+
+
+# Compiled, as they are needed in every tick of an arm that is elsewhere.
+@njit(cache=True)
+def _nearest(found, weights, starts, ways, squares, m):  # type: ignore[no-untyped-def]
+    """Fill rows 1 and 2 of `found` for the joints in row 0, from the first m segments."""
+    best = np.inf
+    for k in range(m):
+        share = 0.0
+        for j in range(found.shape[1]):
+            share += (weights[j] * found[0, j] - starts[k, j]) * ways[k, j]
+        share = min(max(share / squares[k], 0.0), 1.0)
+        apart = 0.0
+        for j in range(found.shape[1]):
+            apart += (weights[j] * found[0, j] - starts[k, j] - share * ways[k, j]) ** 2
+        if apart < best:
+            best = apart
+            for j in range(found.shape[1]):
+                found[1, j] = (starts[k, j] + share * ways[k, j]) / weights[j]
+                found[2, j] = found[0, j] - found[1, j]
+
+
+@njit(cache=True)
+def _bound(asked, at, reach, turns, levers):  # type: ignore[no-untyped-def]
+    """`Levers.bound` of the joints and errors in the rows of `asked`; −1: not near enough."""
+    n = asked.shape[1]
+    for j in range(n):
+        if not abs(asked[0, j] - at[j]) <= reach[j]:
+            return -1.0
+    most = 0.0
+    for i in range(levers.shape[0]):
+        moved = 0.0
+        for j in range(n - 1, -1, -1):
+            moved += abs(asked[1, j]) * (levers[i, j] + turns[j] * moved)
+        most = max(most, moved)
+    return most
