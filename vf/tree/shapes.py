@@ -301,33 +301,33 @@ def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-un
     lx = ly = lz = np.inf
     hx = hy = hz = -np.inf
     waiting = np.empty(STACK, dtype=np.int32)
-    waiting[0] = 0
-    depth = 1
-    place_boxes(shape, 0, 1)
-    while depth > 0:
-        depth -= 1
-        node = waiting[depth]
-        if _between(shifts, node, lx, ly, lz, hx, hy, hz):
-            continue
-        if box_gap2(nodes, node, ends) > reach * reach:
-            continue
-        link = nodes[node, 15]
-        spread = 0.0
-        size = 0.0
-        for k in range(3):
-            spread = max(spread, shifts[node, 3 + k] - shifts[node, k])
-            size = max(size, nodes[node, 3 + k])
-        if link > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
-            first, last = children_of(link)
-            for child in range(first, last):
-                if not _between(shifts, child, lx, ly, lz, hx, hy, hz):
-                    place_boxes(shape, child, child + 1)
-                    waiting[depth] = child
-                    depth += 1
-            continue
-        lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
-        ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])
-        lz, hz = min(lz, shifts[node, 2]), max(hz, shifts[node, 5])
+    depth = 0
+    first, last = 0, 1
+    while first < last:
+        for node in range(first, last):
+            if _between(shifts, node, lx, ly, lz, hx, hy, hz):
+                continue
+            place_boxes(shape, node, node + 1)
+            if box_gap2(nodes, node, ends) > reach * reach:
+                continue
+            spread = 0.0
+            size = 0.0
+            for k in range(3):
+                spread = max(spread, shifts[node, 3 + k] - shifts[node, k])
+                size = max(size, nodes[node, 3 + k])
+            if nodes[node, 15] > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
+                waiting[depth] = node
+                depth += 1
+                continue
+            lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
+            ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])
+            lz, hz = min(lz, shifts[node, 2]), max(hz, shifts[node, 5])
+        last = first
+        while depth > 0 and first == last:
+            depth -= 1
+            node = waiting[depth]
+            if not _between(shifts, node, lx, ly, lz, hx, hy, hz):
+                first, last = children_of(nodes[node, 15])
     if not lx <= hx:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = max(abs(lx), abs(hx)), max(abs(ly), abs(hy)), max(abs(lz), abs(hz))
