@@ -95,7 +95,7 @@ def refit(nodes, starts, ends, fans, before, after, boxes, shifts):  # type: ign
                 kx, gx = min(kx, shifts[child, 0]), max(gx, shifts[child, 3])
                 ky, gy = min(ky, shifts[child, 1]), max(gy, shifts[child, 4])
                 kz, gz = min(kz, shifts[child, 2]), max(gz, shifts[child, 5])
-        if end - begin > FEW:
+        if link > 0.0 and end - begin > FEW:
             first, last = _offspring(nodes, node, found)
             for k in range(first, last):
                 child = found[k]
