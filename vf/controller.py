@@ -131,6 +131,7 @@ class Controller:
                 if isinstance(fixture.surface, DeformingSurface):
                     self.replace(f, fixture.surface)
         self._moved = (False,) * len(self.fixtures)
+        self._count, self._poses = len(self.fixtures), block.poses
         self._tick = _COMPILED.tick
         if not Controller._warm:
             Controller._warm = True  # first: it makes controllers
@@ -242,17 +243,17 @@ class Controller:
 
     def _set_motions(self, motions: Sequence[Motion | None] | None) -> bool:
         """Write how the fixtures move; False, and all stand still: that is of no use."""
-        poses = self._block.poses
+        poses, deforms = self._poses, self._deforms
         moves, bit, place = 0, 1, 0
         usable = True
         try:
             if motions is not None:
-                usable = len(motions) == len(self.fixtures)
+                usable = len(motions) == self._count
                 for motion in motions:
                     if type(motion) is Motion:
                         poses[place : place + _POSES] = motion.packed
                         moves |= bit
-                        if motion.deforms and not self._deforms & bit:
+                        if motion.deforms and not deforms & bit:
                             usable = False
                     elif motion is not None:
                         usable = False

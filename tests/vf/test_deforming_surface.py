@@ -7,6 +7,7 @@ import pytest
 
 import vf
 from tests.support.balls import ball, bumped
+from vf.tree.pdtree import triangles_below
 
 
 def test_boxes_hold_both_shapes_and_all_between() -> None:
@@ -35,6 +36,22 @@ def test_boxes_hold_both_shapes_and_all_between() -> None:
         assert np.abs(body.normals - vf.Surface.from_arrays(body.vertices, body.faces).normals
                       ).max() < 1e-9  # fmt: skip
         assert body.closed
+
+
+def test_boxes_are_hardly_larger_than_what_they_hold() -> None:
+    """Where each is fitted to those of its children they grow by half from level to level."""
+    rng = np.random.default_rng(4)
+    surface = ball(0.01, 4)
+    shape = surface.vertices + bumped(rng, surface.vertices, 2e-3)
+    body = surface.deforming(shape).deforming(surface.vertices)
+    for blend in (0.0, 0.4, 1.0):
+        nodes, corners, *_ = body.shape(blend).tree
+        for node, record in enumerate(nodes):
+            first, last = triangles_below(nodes, node)
+            points = corners[first:last].reshape(-1, 3) - record[:3]
+            held = np.abs(points @ record[6:15].reshape(3, 3).T).max(axis=0)
+            assert (held <= record[3:6]).all()
+            assert record[3:6].sum() < 1.2 * held.sum()
 
 
 def test_memory_is_taken_again_only_when_nobody_looks_at_it() -> None:

@@ -155,15 +155,19 @@ def set_carries(words, planes, places):  # type: ignore[no-untyped-def]
     fixtures = words[at.FIXTURES]
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    point = fixture = -1
+    x = y = z = 0.0
     for i in range(words[at.COUNT]):
         plane = planes[i]
-        f = int(plane[at.FIXTURE])
-        if searches[f, at.MOVES] > 0:
-            x, y, z = carried(motions[f], places[int(plane[at.POINT])])
-            n = plane[at.NORMAL : at.NORMAL + 3]
-            plane[at.CARRY] += n[0] * x + n[1] * y + n[2] * z
-        else:
+        p, f = int(plane[at.POINT]), int(plane[at.FIXTURE])
+        if searches[f, at.MOVES] == 0:
             plane[at.CARRY] = 0.0
+            continue
+        if p != point or f != fixture:  # those of a point and a fixture stand side by side
+            point, fixture = p, f
+            x, y, z = carried(motions[f], places[p])
+        n = plane[at.NORMAL : at.NORMAL + 3]
+        plane[at.CARRY] += n[0] * x + n[1] * y + n[2] * z
 
 
 @njit(cache=True)
@@ -185,10 +189,16 @@ def shortfall(words, planes, m, places, trials, bulges, guards):  # type: ignore
                 tip = np.inf
             else:
                 others = np.inf
+    point = fixture = -1
+    bulge = 0.0
     for i in range(m):
-        p = int(planes[i, at.POINT])
-        start, end, bulge = ways(searches, motions, planes[i], places[p], trials[p], bulges[p])
         plane = planes[i]
+        p, f = int(plane[at.POINT]), int(plane[at.FIXTURE])
+        x, y = places[p], trials[p]
+        if p != point or f != fixture:  # those of a point and a fixture stand side by side
+            point, fixture = p, f
+            bulge = bulge_beside(searches, motions, f, x, y, bulges[p])
+        start, end = height(plane, x) + plane[at.CARRY], height(plane, y)
         worst = max(plane[at.OFFSET] - end, plane[at.FLOOR] - (min(start, end) - bulge))
         if p == 0:
             tip = max(tip, worst)
@@ -204,17 +214,26 @@ def distance(x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def bulge_beside(searches, motions, f, x, y, bulge):  # type: ignore[no-untyped-def]
+    """How far the path of a step from x to y leaves its chord, relative to a structure [m].
+
+    Args:
+        f: number of the fixture that the structure is of.
+        bulge: how far it leaves its chord in the base frame [m].
+    """
+    if searches[f, at.MOVES] > 0:
+        bulge += bend(motions[f], x, distance(x, y) + 4.0 * bulge)
+    return bulge
+
+
+@njit(cache=True)
 def ways(searches, motions, plane, x, y, bulge):  # type: ignore[no-untyped-def]
     """Heights at start and end of a step, and how far its path leaves its chord [m].
 
     All of them relative to the structure of the plane, whose CARRY is known.
     """
-    f = int(plane[at.FIXTURE])
-    start, end = height(plane, x), height(plane, y)
-    if searches[f, at.MOVES] > 0:
-        start += plane[at.CARRY]
-        bulge += bend(motions[f], x, distance(x, y) + 4.0 * bulge)
-    return start, end, bulge
+    bulge = bulge_beside(searches, motions, int(plane[at.FIXTURE]), x, y, bulge)
+    return height(plane, x) + plane[at.CARRY], height(plane, y), bulge
 
 
 @njit(cache=True)

@@ -204,8 +204,10 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
             dx = dy = dz = wx = wy = wz = 0.0
             if searches[f, at.MOVES] > 0:
                 here = _ends_into(motions[f], ends)
-                more, wider = _for_motion(motions[f], ends, radius, numbers[at.STANDOFF])
+                wider = _wider(motions[f], ends, numbers[at.STANDOFF])
                 blend = motions[f, at.BLEND]
+                # `set_radius` has looked at the same ball.
+                more = motions[f, at.MORE] if tip else _more(motions[f], ends, radius)
             if search[at.KIND] == at.MESH:
                 if not tip and search[at.TOOL] == 0:
                     continue
@@ -213,8 +215,6 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                 if search[at.MOVES] > 0:
                     margin += motions[f, at.ADDED]
                     if search[at.FACES] != 0 and tip:
-                        # `set_radius` has looked at the same ball.
-                        more = motions[f, at.MORE]
                         way = motions[f, at.SHIFT : at.SPREAD + 3]
                         dx, dy, dz, wx, wy, wz = way[0], way[1], way[2], way[3], way[4], way[5]
                     elif search[at.FACES] != 0:
@@ -257,8 +257,10 @@ def _search(words, numbers, planes, start, ends, radius, thickness, tip):  # typ
                 planes[i, at.KEEP] = wider * numbers[at.STANDOFF] + planes[i, at.PUSH]
                 space = min(space, _room(planes[i], here) - max(planes[i, at.PUSH] - low, 0.0))
                 planes[i, at.PUSH] = 0.0
-                if searches[f, at.MOVES] > 0:
-                    shift(planes[i], dx, dy, dz, wx, wy, wz)
+                if search[at.MOVES] > 0:
+                    planes[i, at.CARRY] = 0.0
+                    if search[at.FACES] != 0:
+                        shift(planes[i], dx, dy, dz, wx, wy, wz)
                     put(planes[i], motions[f])
             if space - thickness < wider * standoff or low > lowered:
                 close += 1
@@ -295,19 +297,25 @@ def _ends_into(motion, ends):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _for_motion(motion, ends, radius, standoff):  # type: ignore[no-untyped-def]
-    """By how much the ball has to be larger [m], and how many times the standoff has to be as wide.
+def _more(motion, ends, radius):  # type: ignore[no-untyped-def]
+    """By how much the ball around all ends has to be larger for the motion of a structure [m]."""
+    more = more_reach(motion, ends[:3], radius)
+    if len(ends) == 6:
+        more = max(more, more_reach(motion, ends[-3:], radius))
+    return more
+
+
+@njit(cache=True)
+def _wider(motion, ends, standoff):  # type: ignore[no-untyped-def]
+    """How many times the standoff has to be as wide for the motion of a structure.
 
     From the standoff a plane leaves a quarter for what a path bends: four times that which comes of
     the motion of the structure alone is kept for it.
     """
-    first = ends[:3]
-    more = more_reach(motion, first, radius)
-    bent = bend(motion, first, 0.0)
+    bent = bend(motion, ends[:3], 0.0)
     if len(ends) == 6:
-        more = max(more, more_reach(motion, ends[-3:], radius))
         bent = max(bent, bend(motion, ends[-3:], 0.0))
-    return more, max(1.0, 8.0 * bent / standoff)
+    return max(1.0, 8.0 * bent / standoff)
 
 
 @njit(cache=True)

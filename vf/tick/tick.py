@@ -163,7 +163,8 @@ def tick(address, q, goal, phase):  # type: ignore[no-untyped-def]
             bounds,
         )
         if moving:
-            ask_at_contacts(planes, m, places, guards, rows, bounds)
+            if points > 1:
+                ask_at_contacts(planes, m, places, guards, rows, bounds)
             lead_out(words, planes, m, places, guards, rows, bounds, table)
             bound_speed(planes, m, bounds, table)
         note_gains(words, numbers, planes, bounds)

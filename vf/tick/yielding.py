@@ -56,6 +56,11 @@ def lead_out(words, planes, m, places, guards, rows, bounds, table):  # type: ig
     fixtures = words[at.FIXTURES]
     searches = numba.carray(integers_at(words[at.SEARCHES]), (fixtures, at.SEARCH))
     motions = numba.carray(floats_at(words[at.MOTIONS]), (fixtures, at.MOTION))
+    grows = False
+    for f in range(fixtures):
+        grows |= searches[f, at.MOVES] > 0 and motions[f, at.GROWTH] > 0.0
+    if not grows:
+        return
     led = False
     i = 0
     while i < m:

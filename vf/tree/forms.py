@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 from sys import getrefcount
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from vf.kernels import njit
 from vf.planes import LARGEST, FloatArray, IntArray
-from vf.tree.pdtree import Tree
-from vf.tree.shapes import refit, skeleton, take
+from vf.tree.pdtree import Tree, children_of, triangles_of
+from vf.tree.shapes import refit
 
 MOST_KEPT = 4  # arrays of a kind that are taken again
 
@@ -20,6 +22,112 @@ _count = itertools.count(1)
 def fresh_number() -> int:
     """A number that no other shape has."""
     return next(_count)
+
+
+class Skeleton(NamedTuple):
+    """What all shapes of a mesh have in common.
+
+    Attributes:
+        order: (n,) the caller's index of each vertex, those that faces use first.
+        used: how many vertices faces use.
+        faces: (m, 3) int32 rows of the vertices in that order, faces in tree order.
+        starts, ends: (k,) int32 for each node where the vertices of all leaves below it are in
+            `fans`.
+        fans: rows of the vertices of all leaves, each vertex of a leaf once, int32.
+    """
+
+    order: IntArray
+    used: int
+    faces: NDArray[np.int32]
+    starts: NDArray[np.int32]
+    ends: NDArray[np.int32]
+    fans: NDArray[np.int32]
+
+
+def skeleton(tree: Tree, faces: IntArray, vertices: int) -> Skeleton:
+    """Of a mesh with that many vertices and faces (m, 3) in the caller's order."""
+    m = len(faces)
+    order = np.empty(vertices, dtype=np.int64)
+    rows = np.empty((m, 3), dtype=np.int32)
+    starts, ends = np.empty((2, len(tree.nodes)), dtype=np.int32)
+    fans = np.empty(3 * m, dtype=np.int32)
+    used, count = _skeleton(tree.nodes, tree.order, faces, order, rows, starts, ends, fans)
+    fans = fans[:count].copy()
+    for array in (order, rows, starts, ends, fans):
+        array.flags.writeable = False
+    return Skeleton(order, used, rows, starts, ends, fans)
+
+
+@njit(cache=True, nogil=True)
+def _skeleton(nodes, triangles, faces, order, rows, starts, ends, fans):  # type: ignore[no-untyped-def]
+    n = order.shape[0]
+    rank = np.full(n, -1, dtype=np.int32)
+    used = 0
+    for t in range(triangles.shape[0]):
+        for j in range(3):
+            v = faces[triangles[t], j]
+            if rank[v] < 0:
+                rank[v] = used
+                order[used] = v
+                used += 1
+            rows[t, j] = rank[v]
+    rest = used
+    for v in range(n):
+        if rank[v] < 0:
+            order[rest] = v
+            rest += 1
+    count = 0
+    seen = np.full(n, -1, dtype=np.int32)  # the leaf that had a vertex last
+    for node in range(nodes.shape[0]):
+        starts[node] = count
+        link = nodes[node, 15]
+        if link > 0.0:
+            continue
+        first, last = triangles_of(link)
+        for t in range(first, last):
+            for j in range(3):
+                v = rows[t, j]
+                if seen[v] != node:
+                    seen[v] = node
+                    fans[count] = v
+                    count += 1
+        ends[node] = count
+    for node in range(nodes.shape[0] - 1, -1, -1):
+        link = nodes[node, 15]
+        if link > 0.0:
+            # Leaves stand in the order of their nodes, and those below a node side by side.
+            first, last = children_of(link)
+            starts[node], ends[node] = starts[first], ends[first]
+            for child in range(first + 1, last):
+                starts[node] = min(starts[node], starts[child])
+                ends[node] = max(ends[node], ends[child])
+    return used, count
+
+
+@njit(cache=True, nogil=True)
+def take(vertices, order, used, kept):  # type: ignore[no-untyped-def]
+    """Copy vertices (n, 3) in that order to `kept`.
+
+    Returns:
+        The largest magnitude of a coordinate of those that are used [m], and the first vertex that
+        is not finite, or is used and beyond `LARGEST`; −1: none.
+    """
+    bad = -1
+    largest = 0.0
+    for i in range(order.shape[0]):
+        v = order[i]
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        kept[i, 0], kept[i, 1], kept[i, 2] = x, y, z
+        size = max(abs(x), abs(y), abs(z))
+        # Not a number compares as false.
+        fine = abs(x) <= LARGEST and abs(y) <= LARGEST and abs(z) <= LARGEST
+        if i >= used:
+            fine = np.isfinite(x) and np.isfinite(y) and np.isfinite(z)
+        elif size > largest:
+            largest = size
+        if not fine and (bad < 0 or v < bad):
+            bad = v
+    return largest, bad
 
 
 class Form:
@@ -45,7 +153,7 @@ class Family:
     """What all shapes of a mesh share.
 
     Attributes:
-        skeleton: see `shapes.Skeleton`.
+        skeleton: see `Skeleton`.
         order, nodes: of the tree of the first shape.
         rest: the first shape.
     """
@@ -106,7 +214,9 @@ class Family:
         bones = self.skeleton
         read_only(kept)
         other = kept if before is None else before.kept
-        refit(self.nodes, bones.starts, bones.fans, other, kept, boxes, shifts)
+        refit(
+            self.nodes, bones.starts, bones.ends, bones.fans, other, kept, boxes, shifts
+        )  # fmt: skip
         return Form(kept, boxes, largest, together), read_only(shifts)
 
 

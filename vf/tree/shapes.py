@@ -9,139 +9,73 @@ the order in which the leaves use them, so that those of a leaf lie side by side
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vf.kernels import floats_at, njit, rows_at
-from vf.planes import LARGEST, ROUND, IntArray
+from vf.planes import ROUND
 from vf.tree.axis import box_gap2, largest_coordinate
 from vf.tree.closest import distance_error, well_shaped
-from vf.tree.pdtree import EXACT, STACK, Tree, children_of, triangles_of
+from vf.tree.pdtree import EXACT, STACK, children_of
 
 # A node whose triangles move alike to within this is not opened to see how far they move [m].
 ALIKE = 5e-7
 # Nor is one of less than this share of the ball that is looked at.
 SMALL = 0.5
+# A box is fitted to vertices where it has no more of them than this, those that several leaves have
+# counted for each, and else to the boxes so many generations below it: see `refit`.
+FEW = 128
+GENERATIONS = 3
 
 
 # What a walk needs to know of a mesh that does not deform, see `place_corners`.
 RIGID = (0, 0, 0, 0, 0, 0, 0, 0, 0.0)
 
 
-class Skeleton(NamedTuple):
-    """What all shapes of a mesh have in common.
-
-    Attributes:
-        order: (n,) the caller's index of each vertex, those that faces use first.
-        used: how many vertices faces use.
-        faces: (m, 3) int32 rows of the vertices in that order, faces in tree order.
-        starts: (k + 1,) int32 for each node where its vertices begin in `fans`; none of an inner
-            node.
-        fans: rows of the vertices of all leaves, each vertex of a leaf once, int32.
-    """
-
-    order: IntArray
-    used: int
-    faces: NDArray[np.int32]
-    starts: NDArray[np.int32]
-    fans: NDArray[np.int32]
-
-
-def skeleton(tree: Tree, faces: IntArray, vertices: int) -> Skeleton:
-    """Of a mesh with that many vertices and faces (m, 3) in the caller's order."""
-    m = len(faces)
-    order = np.empty(vertices, dtype=np.int64)
-    rows = np.empty((m, 3), dtype=np.int32)
-    starts = np.empty(len(tree.nodes) + 1, dtype=np.int32)
-    fans = np.empty(3 * m, dtype=np.int32)
-    used, count = _skeleton(tree.nodes, tree.order, faces, order, rows, starts, fans)
-    fans = fans[:count].copy()
-    for array in (order, rows, starts, fans):
-        array.flags.writeable = False
-    return Skeleton(order, used, rows, starts, fans)
-
-
 @njit(cache=True, nogil=True)
-def _skeleton(nodes, triangles, faces, order, rows, starts, fans):  # type: ignore[no-untyped-def]
-    n = order.shape[0]
-    rank = np.full(n, -1, dtype=np.int32)
-    used = 0
-    for t in range(triangles.shape[0]):
-        for j in range(3):
-            v = faces[triangles[t], j]
-            if rank[v] < 0:
-                rank[v] = used
-                order[used] = v
-                used += 1
-            rows[t, j] = rank[v]
-    rest = used
-    for v in range(n):
-        if rank[v] < 0:
-            order[rest] = v
-            rest += 1
-    count = 0
-    seen = np.full(n, -1, dtype=np.int32)  # the leaf that had a vertex last
-    for node in range(nodes.shape[0]):
-        starts[node] = count
-        link = nodes[node, 15]
-        if link > 0.0:
-            continue
-        first, last = triangles_of(link)
-        for t in range(first, last):
-            for j in range(3):
-                v = rows[t, j]
-                if seen[v] != node:
-                    seen[v] = node
-                    fans[count] = v
-                    count += 1
-    starts[nodes.shape[0]] = count
-    return used, count
-
-
-@njit(cache=True, nogil=True)
-def take(vertices, order, used, kept):  # type: ignore[no-untyped-def]
-    """Copy vertices (n, 3) in that order to `kept`.
+def _offspring(nodes, node, found):  # type: ignore[no-untyped-def]
+    """Write the nodes `GENERATIONS` below a node, and leaves that are nearer, to `found`.
 
     Returns:
-        The largest magnitude of a coordinate of those that are used [m], and the first vertex that
-        is not finite, or is used and beyond `LARGEST`; −1: none.
+        The first of its rows that has one of them, and the one after the last.
     """
-    bad = -1
-    largest = 0.0
-    for i in range(order.shape[0]):
-        v = order[i]
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        kept[i, 0], kept[i, 1], kept[i, 2] = x, y, z
-        size = max(abs(x), abs(y), abs(z))
-        # Not a number compares as false.
-        fine = abs(x) <= LARGEST and abs(y) <= LARGEST and abs(z) <= LARGEST
-        if i >= used:
-            fine = np.isfinite(x) and np.isfinite(y) and np.isfinite(z)
-        elif size > largest:
-            largest = size
-        if not fine and (bad < 0 or v < bad):
-            bad = v
-    return largest, bad
+    found[0] = node
+    begin, end = 0, 1
+    for _ in range(GENERATIONS):
+        count = end
+        for k in range(begin, end):
+            link = nodes[found[k], 15]
+            if link > 0.0:
+                first, last = children_of(link)
+                for child in range(first, last):
+                    found[count] = child
+                    count += 1
+            else:
+                found[count] = found[k]
+                count += 1
+        begin, end = end, count
+    return begin, end
 
 
 # Fused multiplications and additions, a sixth of the time: rounding is allowed for in any order.
 # What moves by a difference of two numbers is not affected.
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def refit(nodes, starts, fans, before, after, boxes, shifts):  # type: ignore[no-untyped-def]
+def refit(nodes, starts, ends, fans, before, after, boxes, shifts):  # type: ignore[no-untyped-def]
     """Fit the boxes of all nodes to a shape, and find how far what they hold moved to get there.
+
+    A box that is fitted to boxes is larger than what it holds, the more the larger these are: a box
+    is fitted to its vertices where they are `FEW`, and else to those `GENERATIONS` below it.
 
     Args:
         nodes: (k, 16) of a `pdtree.Tree`, of which axes and links are read.
-        starts, fans: of the skeleton.
+        starts, ends, fans: of the `forms.Skeleton`.
         before, after: (n, 3) vertices of the shape before and of this one, in the order of the
             skeleton [m].
         boxes: (k, 6) written: centre and half sizes of each node [m].
         shifts: (k, 6) written: the least and the greatest of after − before below a node, for each
             coordinate [m].
     """
+    found = np.empty(2 * 4**GENERATIONS, dtype=np.int64)
     for node in range(nodes.shape[0] - 1, -1, -1):
         link = nodes[node, 15]
         a0, a1, a2 = nodes[node, 6], nodes[node, 7], nodes[node, 8]
@@ -152,13 +86,19 @@ def refit(nodes, starts, fans, before, after, boxes, shifts):  # type: ignore[no
         # Of the displacements.
         kx = ky = kz = np.inf
         gx = gy = gz = -np.inf
+        begin, end = starts[node], ends[node]
+        i = fans[begin]
+        ox, oy, oz = after[i, 0], after[i, 1], after[i, 2]
         if link > 0.0:
             first, last = children_of(link)
-            ox, oy, oz = boxes[first, 0], boxes[first, 1], boxes[first, 2]
             for child in range(first, last):
                 kx, gx = min(kx, shifts[child, 0]), max(gx, shifts[child, 3])
                 ky, gy = min(ky, shifts[child, 1]), max(gy, shifts[child, 4])
                 kz, gz = min(kz, shifts[child, 2]), max(gz, shifts[child, 5])
+        if link > 0.0 and end - begin > FEW:
+            first, last = _offspring(nodes, node, found)
+            for k in range(first, last):
+                child = found[k]
                 x, y, z = boxes[child, 0] - ox, boxes[child, 1] - oy, boxes[child, 2] - oz
                 u, v, w = boxes[child, 3], boxes[child, 4], boxes[child, 5]
                 d0, d1, d2 = nodes[child, 6], nodes[child, 7], nodes[child, 8]
@@ -186,16 +126,14 @@ def refit(nodes, starts, fans, before, after, boxes, shifts):  # type: ignore[no
                 )
                 lz, hz = min(lz, p - r), max(hz, p + r)
         else:
-            begin, end = starts[node], starts[node + 1]
-            i = fans[begin]
-            ox, oy, oz = after[i, 0], after[i, 1], after[i, 2]
             for k in range(begin, end):
                 i = fans[k]
                 u, v, w = after[i, 0], after[i, 1], after[i, 2]
-                x, y, z = u - before[i, 0], v - before[i, 1], w - before[i, 2]
-                kx, gx = min(kx, x), max(gx, x)
-                ky, gy = min(ky, y), max(gy, y)
-                kz, gz = min(kz, z), max(gz, z)
+                if link <= 0.0:
+                    x, y, z = u - before[i, 0], v - before[i, 1], w - before[i, 2]
+                    kx, gx = min(kx, x), max(gx, x)
+                    ky, gy = min(ky, y), max(gy, y)
+                    kz, gz = min(kz, z), max(gz, z)
                 x, y, z = u - ox, v - oy, w - oz
                 p = a0 * x + a1 * y + a2 * z
                 lx, hx = min(lx, p), max(hx, p)
@@ -232,8 +170,17 @@ def place_boxes(shape, first, last):  # type: ignore[no-untyped-def]
     late = shape[8]
     early = 1.0 - late
     for node in range(first, last):
-        for k in range(6):
-            nodes[node, k] = early * before[node, k] + late * after[node, k]
+        # All is read before anything is written, so that several numbers are computed at once.
+        a0, a1, a2 = before[node, 0], before[node, 1], before[node, 2]
+        a3, a4, a5 = before[node, 3], before[node, 4], before[node, 5]
+        b0, b1, b2 = after[node, 0], after[node, 1], after[node, 2]
+        b3, b4, b5 = after[node, 3], after[node, 4], after[node, 5]
+        nodes[node, 0] = early * a0 + late * b0
+        nodes[node, 1] = early * a1 + late * b1
+        nodes[node, 2] = early * a2 + late * b2
+        nodes[node, 3] = early * a3 + late * b3
+        nodes[node, 4] = early * a4 + late * b4
+        nodes[node, 5] = early * a5 + late * b5
 
 
 @njit(cache=True, nogil=True)
@@ -354,33 +301,33 @@ def shift_near(nodes, shifts, shape, ends, radius, share):  # type: ignore[no-un
     lx = ly = lz = np.inf
     hx = hy = hz = -np.inf
     waiting = np.empty(STACK, dtype=np.int32)
-    waiting[0] = 0
-    depth = 1
-    place_boxes(shape, 0, 1)
-    while depth > 0:
-        depth -= 1
-        node = waiting[depth]
-        if _between(shifts, node, lx, ly, lz, hx, hy, hz):
-            continue
-        if box_gap2(nodes, node, ends) > reach * reach:
-            continue
-        link = nodes[node, 15]
-        spread = 0.0
-        size = 0.0
-        for k in range(3):
-            spread = max(spread, shifts[node, 3 + k] - shifts[node, k])
-            size = max(size, nodes[node, 3 + k])
-        if link > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
-            first, last = children_of(link)
-            for child in range(first, last):
-                if not _between(shifts, child, lx, ly, lz, hx, hy, hz):
-                    place_boxes(shape, child, child + 1)
-                    waiting[depth] = child
-                    depth += 1
-            continue
-        lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
-        ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])
-        lz, hz = min(lz, shifts[node, 2]), max(hz, shifts[node, 5])
+    depth = 0
+    first, last = 0, 1
+    while first < last:
+        for node in range(first, last):
+            if _between(shifts, node, lx, ly, lz, hx, hy, hz):
+                continue
+            place_boxes(shape, node, node + 1)
+            if box_gap2(nodes, node, ends) > reach * reach:
+                continue
+            spread = 0.0
+            size = 0.0
+            for k in range(3):
+                spread = max(spread, shifts[node, 3 + k] - shifts[node, k])
+                size = max(size, nodes[node, 3 + k])
+            if nodes[node, 15] > 0.0 and spread * abs(share) > ALIKE and size > SMALL * reach:
+                waiting[depth] = node
+                depth += 1
+                continue
+            lx, hx = min(lx, shifts[node, 0]), max(hx, shifts[node, 3])
+            ly, hy = min(ly, shifts[node, 1]), max(hy, shifts[node, 4])
+            lz, hz = min(lz, shifts[node, 2]), max(hz, shifts[node, 5])
+        last = first
+        while depth > 0 and first == last:
+            depth -= 1
+            node = waiting[depth]
+            if not _between(shifts, node, lx, ly, lz, hx, hy, hz):
+                first, last = children_of(nodes[node, 15])
     if not lx <= hx:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     x, y, z = max(abs(lx), abs(hx)), max(abs(ly), abs(hy)), max(abs(lz), abs(hz))
