@@ -77,6 +77,7 @@ def run(options: Motion, say: Say, advance: Callable[[float], None]) -> dict[str
     times: dict[str, list[float]] = {name: [] for name in controllers}
     planes: dict[str, list[int]] = {name: [] for name in controllers}
     spots = range(min(len(route.starts), max(options.ticks // routes.TICKS, 1)))
+    order, names = np.random.default_rng(0), [*controllers]
     done = 0
     for number in range(options.passes):
         say(f"pass {number + 1} of {options.passes}")
@@ -84,7 +85,8 @@ def run(options: Motion, say: Say, advance: Callable[[float], None]) -> dict[str
             q = dict.fromkeys(controllers, route.starts[spot])
             with no_collection():
                 for tick, target in enumerate(route.targets(spot)):
-                    for name in [*controllers][:: 1 if tick % 4 < 2 else -1]:
+                    order.shuffle(names)  # none is always behind another that warmed its memory
+                    for name in names:
                         began = perf_counter()
                         step = controllers[name].step(q[name], target, motions[name][tick % 2])
                         times[name].append(perf_counter() - began)

@@ -25,7 +25,7 @@ SMALL = 0.5
 # A box is fitted to vertices where it has no more of them than this, those that several leaves have
 # counted for each, and else to the boxes so many generations below it: see `refit`.
 FEW = 128
-GENERATIONS = 3
+GENERATIONS = 2
 
 
 # What a walk needs to know of a mesh that does not deform, see `place_corners`.
