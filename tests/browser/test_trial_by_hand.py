@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from app.recording.read import read
+from app.session import Session
 from app.studies.people.folder import Study
 from app.studies.people.served.room import Room
 from app.studies.people.sitting import Sitting
@@ -41,7 +42,7 @@ rule = "off"
 """
 PACE = 0.4  # of the way that is left, the pointer goes so much at once
 LONGEST = 60.0  # and no farther [px]
-NOTCH = 400.0  # of the wheel, which moves the tool some 2 mm [px]
+WHEEL = 4e4  # the wheel is turned so much for a metre that is left in depth [px/m]
 
 
 @pytest.fixture
@@ -74,14 +75,12 @@ def test_a_target_is_touched_with_the_mouse_alone(room: Room, browser: Any) -> N
         wait_until(lambda: page.server.get_clients(), "the tab's camera")
         visitor = Visitor(tab, max(page.server.get_clients()), page)
         tip = lambda: np.array(session.latest().step.tip.translation)  # noqa: E731
-        arm = session.scene.arm
-        wrist = [capsule.name for capsule in arm.capsules].index("wrist")
         tab.get_by_role("button", name="Start").click()
         wait_until(lambda: not page.hidden, "the trial")
         tab.wait_for_timeout(1000)
 
         aim, began = page._progress.aim, tip()
-        pointer = visitor.to_screen(to_view(arm.axes(session.latest().q)[wrist].mean(axis=0)))
+        pointer = grip(visitor, session)
         tab.mouse.move(*pointer)
         tab.mouse.down()
         due = time.monotonic() + 140.0
@@ -92,7 +91,7 @@ def test_a_target_is_touched_with_the_mouse_alone(room: Room, browser: Any) -> N
             tab.mouse.move(*pointer)
             depth = forward(visitor) @ (aim - tip())
             if abs(depth) > 5e-4:
-                tab.mouse.wheel(0.0, -NOTCH * float(np.clip(depth / 2e-3, -1.0, 1.0)))
+                tab.mouse.wheel(0.0, float(np.clip(-WHEEL * depth, -150.0, 150.0)))
             tab.wait_for_timeout(150)
         tab.mouse.up()
         done = Sitting(room.sitting.study, "P1").done
@@ -103,6 +102,19 @@ def test_a_target_is_touched_with_the_mouse_alone(room: Room, browser: Any) -> N
         assert not recording.cut
     finally:
         tab.context.close()
+
+
+def grip(visitor: Visitor, session: Session) -> np.ndarray:
+    """Where the tool is to be pressed on (2,) [px]: above its tip, beside the gizmo, in sight."""
+    axes = session.scene.arm.axes(session.latest().q)
+    shares = np.linspace(0.0, 1.0, 50)[:, None, None]
+    points = ((1.0 - shares) * axes[:, 0] + shares * axes[:, 1]).reshape(-1, 3)
+    tip = np.array(session.latest().step.tip.translation)
+    points = points[np.linalg.norm(points - tip, axis=1) < 25e-3]
+    seen = np.array([visitor.to_screen(to_view(point)) for point in points])
+    seen = seen[seen[:, 1] > 30.0]
+    apart = np.linalg.norm(seen - visitor.to_screen(to_view(tip)), axis=1)
+    return np.asarray(seen[apart.argmax()])
 
 
 def forward(visitor: Visitor) -> np.ndarray:
