@@ -15,6 +15,7 @@ from app.bench.tools.settings import (
     Meshes,
     Motion,
     Peers,
+    Rooms,
     Runtime,
     Soak,
     Structures,
@@ -79,5 +80,5 @@ def _run(
         return work(say, lambda share: shown.update(bar, completed=share))
 
 
-_ALL = (Runtime, Structures, Motion, Peers, Loop, Devices, View, Meshes, Soak)
+_ALL = (Runtime, Structures, Motion, Peers, Loop, Rooms, Devices, View, Meshes, Soak)
 KINDS = {kind.__name__.lower(): (kind, measure) for kind in _ALL}

@@ -199,7 +199,10 @@ WRONG = [
     (["verify", "--seed", "-1"], "seed -1 is outside 0 to"),
     (["replay", "no.vfrec"], "no.vfrec: cannot be read (No such file"),
     (["replay", "."], ".: cannot be read (Is a directory)"),
-    (["bench", "walk"], "choose one of runtime, structures, motion, peers, loop, devices, view,"),
+    (
+        ["bench", "walk"],
+        "choose one of runtime, structures, motion, peers, loop, rooms, devices, view,",
+    ),
     (["bench", "runtime", "--rules", "soft"], "unknown rule 'soft'"),
     (["bench", "runtime", "--radii", "5"], "'5' has no unit: write 5mm for millimetres"),
     (["bench", "loop", "--rate", "1e300"], "rate 1e+300 Hz is outside 10 Hz to 20000 Hz"),

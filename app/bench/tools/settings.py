@@ -145,6 +145,18 @@ class Loop(Checked):
 
 
 @dataclass(frozen=True)
+class Rooms(Checked):
+    """The control loops of several participants of a study at once, each in a trial.
+
+    Each has a page with a headless Chromium that looks at it.
+    """
+
+    participants: int = option(Whole(1, 64), 2, "How many at once.")
+    seconds: float = option(_SECONDS, 60.0, "Length of the measurement.")
+    out: pathlib.Path = option(Path(), _OUT, "Folder for rooms.json.")
+
+
+@dataclass(frozen=True)
 class Devices(Checked):
     """The guard between an arm and a console over sockets, each in a process of its own.
 
