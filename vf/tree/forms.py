@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from vf.kernels import njit
 from vf.planes import LARGEST, FloatArray, IntArray
-from vf.tree.pdtree import Tree, children_of, triangles_of
-from vf.tree.shapes import refit
+from vf.tree.pdtree import Tree, children_of, triangles_below
+from vf.tree.shapes import FEW, refit
 
 MOST_KEPT = 4  # arrays of a kind that are taken again
+ROOM = 256  # more vertices than a leaf can have, and than are looked at of any other node
 
 _count = itertools.count(1)
 
@@ -31,9 +32,9 @@ class Skeleton(NamedTuple):
         order: (n,) the caller's index of each vertex, those that faces use first.
         used: how many vertices faces use.
         faces: (m, 3) int32 rows of the vertices in that order, faces in tree order.
-        starts, ends: (k,) int32 for each node where the vertices of all leaves below it are in
-            `fans`.
-        fans: rows of the vertices of all leaves, each vertex of a leaf once, int32.
+        starts, ends: (k,) int32 for each node where the vertices of the triangles below it are in
+            `fans`; none, from the first of a node below it, where they are more than `shapes.FEW`.
+        fans: rows of the vertices of nodes, each vertex of a node once, int32.
     """
 
     order: IntArray
@@ -50,16 +51,14 @@ def skeleton(tree: Tree, faces: IntArray, vertices: int) -> Skeleton:
     order = np.empty(vertices, dtype=np.int64)
     rows = np.empty((m, 3), dtype=np.int32)
     starts, ends = np.empty((2, len(tree.nodes)), dtype=np.int32)
-    fans = np.empty(3 * m, dtype=np.int32)
-    used, count = _skeleton(tree.nodes, tree.order, faces, order, rows, starts, ends, fans)
-    fans = fans[:count].copy()
+    used, fans = _skeleton(tree.nodes, tree.order, faces, order, rows, starts, ends)
     for array in (order, rows, starts, ends, fans):
         array.flags.writeable = False
     return Skeleton(order, used, rows, starts, ends, fans)
 
 
 @njit(cache=True, nogil=True)
-def _skeleton(nodes, triangles, faces, order, rows, starts, ends, fans):  # type: ignore[no-untyped-def]
+def _skeleton(nodes, triangles, faces, order, rows, starts, ends):  # type: ignore[no-untyped-def]
     n = order.shape[0]
     rank = np.full(n, -1, dtype=np.int32)
     used = 0
@@ -76,32 +75,33 @@ def _skeleton(nodes, triangles, faces, order, rows, starts, ends, fans):  # type
         if rank[v] < 0:
             order[rest] = v
             rest += 1
+    fans = np.empty(4 * rows.shape[0] + ROOM, dtype=np.int32)
     count = 0
-    seen = np.full(n, -1, dtype=np.int32)  # the leaf that had a vertex last
-    for node in range(nodes.shape[0]):
+    seen = np.full(n, -1, dtype=np.int32)  # the node that had a vertex last
+    for node in range(nodes.shape[0] - 1, -1, -1):
         starts[node] = count
         link = nodes[node, 15]
-        if link > 0.0:
-            continue
-        first, last = triangles_of(link)
+        first, last = triangles_below(nodes, node)
         for t in range(first, last):
+            if count - starts[node] > FEW and link > 0.0:
+                break
             for j in range(3):
                 v = rows[t, j]
                 if seen[v] != node:
                     seen[v] = node
                     fans[count] = v
                     count += 1
+        if count - starts[node] > FEW and link > 0.0:
+            count = starts[node]
+            starts[node] = starts[children_of(link)[0]]
+            ends[node] = starts[node]
+            continue
         ends[node] = count
-    for node in range(nodes.shape[0] - 1, -1, -1):
-        link = nodes[node, 15]
-        if link > 0.0:
-            # Leaves stand in the order of their nodes, and those below a node side by side.
-            first, last = children_of(link)
-            starts[node], ends[node] = starts[first], ends[first]
-            for child in range(first + 1, last):
-                starts[node] = min(starts[node], starts[child])
-                ends[node] = max(ends[node], ends[child])
-    return used, count
+        if fans.shape[0] < count + ROOM:
+            longer = np.empty(2 * fans.shape[0], dtype=np.int32)
+            longer[:count] = fans[:count]
+            fans = longer
+    return used, fans[:count].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -22,9 +22,9 @@ from vf.tree.pdtree import EXACT, STACK, children_of
 ALIKE = 5e-7
 # Nor is one of less than this share of the ball that is looked at.
 SMALL = 0.5
-# A box is fitted to vertices where it has no more of them than this, those that several leaves have
-# counted for each, and else to the boxes so many generations below it: see `refit`.
-FEW = 128
+# A box is fitted to vertices where it has no more of them than this, and else to the boxes so many
+# generations below it: see `refit`.
+FEW = 64
 GENERATIONS = 2
 
 
@@ -95,7 +95,7 @@ def refit(nodes, starts, ends, fans, before, after, boxes, shifts):  # type: ign
                 kx, gx = min(kx, shifts[child, 0]), max(gx, shifts[child, 3])
                 ky, gy = min(ky, shifts[child, 1]), max(gy, shifts[child, 4])
                 kz, gz = min(kz, shifts[child, 2]), max(gz, shifts[child, 5])
-        if link > 0.0 and end - begin > FEW:
+        if begin == end:
             first, last = _offspring(nodes, node, found)
             for k in range(first, last):
                 child = found[k]
@@ -126,8 +126,9 @@ def refit(nodes, starts, ends, fans, before, after, boxes, shifts):  # type: ign
                 )
                 lz, hz = min(lz, p - r), max(hz, p + r)
         else:
-            for k in range(begin, end):
-                i = fans[k]
+            # Unsigned: no index is looked at for whether it counts from the end.
+            for k in range(np.uint64(begin), np.uint64(end)):
+                i = np.uint64(fans[k])
                 u, v, w = after[i, 0], after[i, 1], after[i, 2]
                 if link <= 0.0:
                     x, y, z = u - before[i, 0], v - before[i, 1], w - before[i, 2]
