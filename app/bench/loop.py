@@ -18,7 +18,7 @@ from rich.console import Console
 
 import meshes
 from app.bench.tools import bare, report
-from app.bench.tools.machine import machine, percentiles, proportional, scheduling
+from app.bench.tools.machine import machine, percentiles, proportional, scheduling, stolen
 from app.bench.tools.settings import Loop
 from app.bench.tools.watcher import NoBrowser, Watcher
 from app.console import Column, show_table
@@ -184,12 +184,13 @@ def _phase(
         memory = _memory(session)
         processor, began = time.process_time(), time.perf_counter()
         overruns, waited = session.latest().stats.overruns, _waited(session)
+        taken = stolen()
         for thread in work:
             thread.start()
         time.sleep(options.seconds)
         elapsed = time.perf_counter() - began
         busy = (time.process_time() - processor) / elapsed
-        waited_after = _waited(session)
+        waited_after, taken_after = _waited(session), stolen()
         after = _memory(session)
         ticks = tap.between(began, began + elapsed)
         row = summary(ticks, elapsed, options.rate)
@@ -204,13 +205,17 @@ def _phase(
             "cpu": busy,
             # Share of the phase in which the control thread was runnable without a core: the load
             # of other threads and processes, also the browser's.
-            "no core": None
-            if waited is None or waited_after is None
-            else (waited_after - waited) / elapsed,
+            "no core": _share(waited, waited_after, elapsed),
+            # Share of the processors that the host gave to others meanwhile.
+            "stolen": _share(taken, taken_after, elapsed),
             "memory [MB]": {"start": memory, "end": after},
             "frames/s": None if frames is None or drawn is None else (drawn - frames) / elapsed,
             **done,
         }
+
+
+def _share(before: float | None, after: float | None, elapsed: float) -> float | None:
+    return None if before is None or after is None else (after - before) / elapsed
 
 
 def _memory(session: Session) -> dict[str, float | None]:
@@ -263,7 +268,7 @@ def show(result: dict[str, Any], console: Console) -> None:
     names = (
         "phase", "ticks", "rate [Hz]", "late p50 [µs]", "late p99", "late p99.9", "< 1 ms late",
         "< 0.1 ms", "longest stall [ms]", "overruns", "tick p50 [µs]", "tick p99", "page's CPU",
-        "no core", "memory, page + control [MB]", "frames/s",
+        "no core", "stolen", "memory, page + control [MB]", "frames/s",
     )  # fmt: skip
     rows = []
     for row in result["phases"]:
@@ -280,7 +285,7 @@ def show(result: dict[str, Any], console: Console) -> None:
             f"{tick['p50']:.0f}",
             f"{tick['p99']:.0f}",
             f"{100 * row['cpu']:.0f} %",
-            f"{100 * row['no core']:.1f} %" if row["no core"] is not None else "–",
+            *("–" if row[k] is None else f"{100 * row[k]:.2f} %" for k in ("no core", "stolen")),
             " → ".join(_both(memory[k]) for k in ("start", "end")),
             f"{row['frames/s']:.1f}" if row["frames/s"] is not None else "–",
         )

@@ -3,28 +3,42 @@
 The closed loop of `bench runtime`, with the certified rule. In each tick the mesh goes a step one
 way or back: 0.2 m/s and 2 rad/s as a rigid body, up to 0.1 m/s from shape to shape. All rows are
 timed in turn within a tick, so that they meet the same load.
+
+Then the control process of a session, with the same mesh, which deforms and stands still by turns:
+how punctual it is while shapes are taken over beside it.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter, thread_time
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 from numpy.typing import NDArray
 from rich.console import Console
 
 import meshes
 import robots
 import vf
-from app.bench.tools import report
+from app.bench.loop import BARE, FIRST_TICK, SETTLE, Tap, summary
+from app.bench.tools import bare, report
 from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles
 from app.bench.tools.settings import Motion
 from app.console import Column, show_table
+from app.control.priority import raise_process_priority
+from app.motion.declared import Motion as Declared
+from app.motion.forms import frame_of
+from app.session import Session
+from app.settings import Options
 from meshes.builtin import ladder
 
 __all__ = ["run", "show"]
@@ -36,6 +50,7 @@ SPEED, TURN, DEFORMED = 0.2, 2.0, 0.1  # [m/s], [rad/s], [m/s]
 DT = 1e-3  # of a tick [s]
 FRAME = 10  # ticks from one shape to the next
 SHAPES = 12  # taken over and timed
+TURNS = 4  # in which the mesh of the session deforms and stands still
 STILL, RIGID, DEFORMING, BOTH = "still", "rigid", "deforming", "rigid and deforming"
 
 
@@ -95,6 +110,9 @@ def run(options: Motion, say: Say, advance: Callable[[float], None]) -> dict[str
             done += 1
             advance(done / (len(spots) * options.passes))
     still = float(np.median(times[STILL]))
+    del controllers, deforming, surface
+    say("the control loop beside shapes that are taken over")
+    beside = _beside(options, vertices, faces) if options.seconds > 0.0 else []
     return {
         "what": "vf-sandbox bench motion",
         "source": shape.name,
@@ -114,8 +132,9 @@ def run(options: Motion, say: Say, advance: Callable[[float], None]) -> dict[str
                         strict=True)
                 ),
             }
-            for name in controllers
+            for name in times
         ],
+        "beside the loop": beside,
     }  # fmt: skip
 
 
@@ -141,6 +160,19 @@ def show(result: dict[str, Any], console: Console) -> None:
         f"a new shape of {result['vertices']:,} vertices: {taken['median']:.1f} ms of processor "
         f"time (p1 {taken['p1']:.1f}, p99 {taken['p99']:.1f})"
     )
+    if result["beside the loop"]:
+        show_table(
+            console,
+            [Column("loop", left=True), Column("shapes"), Column("ticks"), Column("< 1 ms late"),
+             Column("< 0.1 ms"), Column("late p99.9 [µs]"), Column("longest stall [ms]")],
+            [
+                (row["what"], str(row["shapes"]), f"{row['ticks']:,}",
+                 f"{100 * row['punctual']:.3f} %", f"{100 * row['prompt']:.3f} %",
+                 f"{row['late [us]']['p99.9']:.0f}", f"{row['longest stall [ms]']:.2f}")
+                for row in result["beside the loop"]
+            ],
+            title="The control loop, 1 kHz, and shapes taken over beside it",
+        )  # fmt: skip
 
 
 def _shapes(vertices: FloatArray) -> list[FloatArray]:
@@ -163,6 +195,64 @@ def _take_over(
         body = body.deforming(frames[k % 2])
         taken.append(thread_time() - began)
     return taken[1:], body
+
+
+def _beside(
+    options: Motion, vertices: FloatArray, faces: NDArray[np.int64]
+) -> list[dict[str, Any]]:
+    """How punctual the control loop of a session is, the mesh deforming and standing still.
+
+    There is no page. Shapes are made as in any session, in another thread of the control process.
+    """
+    raise_process_priority()
+    bare_time = min(options.seconds, BARE)
+    rows = [{"what": "does nothing", "shapes": 0,
+             **summary(bare.measure(1.0 / DT, bare_time), bare_time, 1.0 / DT)}]  # fmt: skip
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        trimesh.Trimesh(vertices, faces, process=False).export(folder / "mesh.ply")
+        there = _shapes(vertices)[1]
+        length = 2.0 * TURNS * options.seconds + 60.0
+        # From the one shape to the other all the time: what is taken over is a little of that.
+        np.savez(folder / "shapes.npz", vertices=[vertices, there], times=[0.0, length])
+        session = Session(
+            Options(
+                mesh=str(folder / "mesh.ply"), unit="m", port=0, guard=options.guard,
+                radius=options.radius, rate=1.0 / DT,
+                motions=(Declared("vertices", file=str(folder / "shapes.npz")),),
+            ),
+            process=True,
+        )  # fmt: skip
+        stack.callback(session.close)
+        tap = Tap(session, round((length + 60.0) / DT))
+        session.move_structures(False)
+        session.start()
+        deadline = time.monotonic() + FIRST_TICK
+        while not tap.count:
+            if time.monotonic() > deadline:
+                raise ValueError("the control thread did not tick")
+            time.sleep(0.01)
+        session.set_autopilot(True)
+        ticks: dict[bool, list[NDArray[np.float64]]] = {False: [], True: []}
+        part = options.seconds / TURNS
+        for turn in range(2 * TURNS):
+            moves = turn % 2 == 1
+            session.move_structures(moves)
+            time.sleep(min(SETTLE, options.seconds))
+            began = perf_counter()
+            time.sleep(part)
+            ticks[moves].append(tap.between(began, began + part))
+    for moves, parts in ticks.items():
+        each = [summary(part_ticks, part, 1.0 / DT) for part_ticks in parts]
+        rows.append(
+            {
+                "what": "deforming" if moves else "still",
+                "shapes": round(options.seconds / frame_of(len(vertices), DT)) if moves else 0,
+                **summary(np.concatenate(parts), options.seconds, 1.0 / DT),
+                "longest stall [ms]": max(one["longest stall [ms]"] for one in each),
+            }
+        )
+    return rows
 
 
 def _motions(centre: FloatArray) -> dict[str, list[list[vf.Motion] | None]]:

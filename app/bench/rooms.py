@@ -83,6 +83,7 @@ def run(
             room = subprocess.Popen(
                 [*command, repr(options.seconds)],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+                start_new_session=True,  # Ctrl-C is for this process, which ends the others
             )  # fmt: skip
             stack.callback(room.kill)
             rooms.append(room)

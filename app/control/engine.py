@@ -14,6 +14,7 @@ import meshes
 import vf
 from app.control.autopilot import Script
 from app.control.messages import Command, LoopStats, State, Telemetry
+from app.control.priority import just_below
 from app.devices import protocols
 from app.devices.simulated import SimulatedArm
 from app.motion.course import Course
@@ -81,7 +82,7 @@ class Plant:
 
     def guide(self) -> Guide:
         """Tells the controller how they move; for one thread."""
-        return Guide(self.movement(), self.surfaces)
+        return Guide(self.movement(), self.surfaces, just_below)
 
     def told(self, guide: Guide, start: float, end: float) -> Guarded:
         """What the controller is told of the tick between two phases [s]."""

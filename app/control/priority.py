@@ -10,6 +10,8 @@ import contextlib
 import os
 import sys
 import threading
+from collections.abc import Callable
+from functools import partial
 
 # In real time.
 CONTROL_PRIORITY = 10
@@ -44,3 +46,22 @@ def raise_thread_priority(priority: int) -> None:
     except OSError:
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, thread, -10)
+
+
+def just_below() -> Callable[[], None]:
+    """What another thread has to call that the calling thread may have to wait for.
+
+    Where the calling thread runs in real time the other one then does so too, just below it. Else
+    it runs as it is.
+    """
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(OSError):
+            if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
+                return partial(
+                    raise_thread_priority, max(os.sched_getparam(0).sched_priority - 1, 1)
+                )
+    return _stay
+
+
+def _stay() -> None:
+    """Leave the calling thread as it is."""

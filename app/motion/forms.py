@@ -1,10 +1,10 @@
 """What shape a structure has at any time: shapes one after the other, straight between two.
 
 A structure that deforms has a shape every `FRAME` seconds, or every ten ticks where these are
-longer. Between two shapes every vertex rests for two ticks and then goes straight and steadily to
-its next place. So a tick never is on both sides of a shape: one that begins before it and ends
-after it ends while the vertices rest. What a tick promises of a structure that deforms holds for
-such motion.
+longer, or as often as it can be made where there are many vertices. Between two shapes every vertex
+rests for two ticks and then goes straight and steadily to its next place. So a tick never is on
+both sides of a shape: one that begins before it and ends after it ends while the vertices rest.
+What a tick promises of a structure that deforms holds for such motion.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ Placement = tuple[float, FloatArray, FloatArray]
 
 FRAME = 0.02  # from one shape to the next, at least [s]
 TICKS = 10  # of a frame, at least
+EACH = 2e-7  # of a frame for each vertex, at least: two or three times what a shape takes [s]
 RESTS = 2  # ticks in which the vertices rest at a shape; the structures' speed is 2 at most
 FIT = 1e-6  # by how much a catalogue mesh may be off its rest shape, as a share of its size
 FIT_FILE = 1e-3  # the same of the first shape of a file
@@ -69,13 +70,21 @@ class Modes:
             return self.rest
         one = meshes.deforming(self._name)
         amplitudes = self._amplitude * one.amplitudes((time - self._after) / self._period)
-        return one.vertices + np.tensordot(amplitudes, one.modes, axes=1)
+        found = one.vertices.copy()
+        for amplitude, mode in zip(amplitudes, one.modes, strict=True):
+            found += amplitude * mode
+        return found
 
     def fastest(self) -> float:
         return self._amplitude * meshes.deforming(self._name).fastest(self._period)
 
     def content(self) -> bytes:
         return b""
+
+
+def frame_of(vertices: int, dt: float) -> float:
+    """From one shape of so many vertices to the next [s], for ticks of `dt` [s]."""
+    return max(FRAME, TICKS * dt, EACH * vertices)
 
 
 class Form:
@@ -106,7 +115,7 @@ class Form:
             placement = _placement(source.rest, vertices, fit)
         self._source = source
         self._scale, self._R, self._t = placement
-        self.frame = max(FRAME, TICKS * dt)
+        self.frame = frame_of(len(vertices), dt)
         self._pause = RESTS * dt
         self._known = lru_cache(KEPT)(self._made)
 
@@ -155,9 +164,7 @@ class Form:
 
     def _made(self, number: int) -> FloatArray:
         assert self._source is not None
-        found = self._scale * self._source.at(number * self.frame) @ self._R.T + self._t
-        found.flags.writeable = False
-        return found
+        return placed(self._source.at(number * self.frame), self._scale * self._R, self._t)
 
     def __getstate__(self) -> dict[str, object]:
         return {key: value for key, value in self.__dict__.items() if key != "_known"}
@@ -165,6 +172,24 @@ class Form:
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
         self._known = lru_cache(KEPT)(self._made)
+
+
+def placed(vertices: NDArray[np.floating], R: FloatArray, t: FloatArray) -> FloatArray:
+    """R x + t of vertices (n, 3), read-only.
+
+    A column at a time, which numpy does without the interpreter lock. A product of matrices starts
+    threads of a library of linear algebra, which wait for work on cores that others need.
+    """
+    columns = [np.ascontiguousarray(vertices[:, k], dtype=np.float64) for k in range(3)]
+    found = np.empty((len(vertices), 3))
+    term = np.empty(len(vertices))
+    for k in range(3):
+        total = R[k, 0] * columns[0]
+        for j in (1, 2):
+            total += np.multiply(R[k, j], columns[j], out=term)
+        np.add(total, t[k], out=found[:, k])
+    found.flags.writeable = False
+    return found
 
 
 def form_of(

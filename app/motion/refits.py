@@ -15,6 +15,11 @@ import vf
 from app.motion.movement import Guarded, Movement
 
 IDLE = 0.5  # after which the thread of a worker ends [s]
+Below = Callable[[], Callable[[], None]]
+
+
+def _nothing() -> None:
+    pass
 
 
 class Guide:
@@ -26,12 +31,16 @@ class Guide:
     Args:
         movement: of the scene.
         surfaces: of all structures where they rest, in its order.
+        below: called by a thread that may have to wait for what it asks for; another one calls
+            the result before it makes that.
     """
 
-    def __init__(self, movement: Movement, surfaces: Sequence[vf.Surface]) -> None:
+    def __init__(
+        self, movement: Movement, surfaces: Sequence[vf.Surface], below: Below = lambda: _nothing
+    ) -> None:
         self.movement = movement
         self._chains = {
-            k: _Chain(movement, k, surfaces[k])
+            k: _Chain(movement, k, surfaces[k], below)
             for k, form in enumerate(movement.forms)
             if form is not None
         }
@@ -58,9 +67,9 @@ class Guide:
 class _Chain:
     """The surfaces of one structure."""
 
-    def __init__(self, movement: Movement, structure: int, rest: vf.Surface) -> None:
+    def __init__(self, movement: Movement, structure: int, rest: vf.Surface, below: Below) -> None:
         self._movement, self._structure, self._rest = movement, structure, rest
-        self._worker = _Worker()
+        self._worker = _Worker(below)
         # Ready, or nearly, when the first tick asks for it.
         self._made = {0: self._worker.submit(partial(self._make, 0, None))}
 
@@ -84,13 +93,14 @@ class _Chain:
         return start.deforming(last)
 
 
-Job = tuple["Future[vf.DeformingSurface]", Callable[[], vf.DeformingSurface]]
+Job = tuple["Future[vf.DeformingSurface]", Callable[[], vf.DeformingSurface], Callable[[], None]]
 
 
 class _Worker:
     """Does one job after the other in a thread, which ends when there is none for long."""
 
-    def __init__(self) -> None:
+    def __init__(self, below: Below) -> None:
+        self._below = below
         self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._runs = False
@@ -98,8 +108,9 @@ class _Worker:
     def submit(self, work: Callable[[], vf.DeformingSurface]) -> Future[vf.DeformingSurface]:
         """Its result, or what it raises, to come."""
         job: Future[vf.DeformingSurface] = Future()
+        below = self._below()
         with self._lock:
-            self._jobs.put((job, work))
+            self._jobs.put((job, work, below))
             if not self._runs:
                 self._runs = True
                 threading.Thread(target=self._run, name="shapes", daemon=True).start()
@@ -108,7 +119,7 @@ class _Worker:
     def _run(self) -> None:
         while True:
             try:
-                job, work = self._jobs.get(timeout=IDLE)
+                job, work, begin = self._jobs.get(timeout=IDLE)
             except queue.Empty:
                 with self._lock:
                     if self._jobs.empty():
@@ -116,6 +127,7 @@ class _Worker:
                         return
                 continue
             try:
+                begin()
                 job.set_result(work())
             except BaseException as error:
                 job.set_exception(error)

@@ -22,7 +22,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from app.motion.declared import Tracker
-from app.motion.forms import KEPT, Form
+from app.motion.forms import KEPT, Form, placed
 from app.motion.tracking import Belief
 
 FloatArray = NDArray[np.float64]
@@ -172,11 +172,10 @@ class StreamForm(Form):
             return self._rest
         known = self._placed.get(frame.number)
         if known is None:
-            known = frame.vertices.astype(np.float64) @ self._R.T + self._t
-            known.flags.writeable = False
-            placed = dict(list(self._placed.items())[1 - KEPT :])
-            placed[frame.number] = known
-            self._placed = placed
+            known = placed(frame.vertices, self._R, self._t)
+            kept = dict(list(self._placed.items())[1 - KEPT :])
+            kept[frame.number] = known
+            self._placed = kept
         return known
 
     def fastest(self) -> float:

@@ -68,6 +68,18 @@ def proportional(process: int | str = "self") -> float | None:
         return None
 
 
+def stolen() -> float | None:
+    """For how long others had the processors of this virtual machine [s], each; None if not known.
+
+    Only while there was something to run here; the system counts it in hundredths of a second.
+    """
+    try:
+        words = Path("/proc/stat").read_text().split(None, 9)
+        return int(words[8]) / os.sysconf("SC_CLK_TCK") / (os.cpu_count() or 1)
+    except (OSError, ValueError, IndexError):
+        return None
+
+
 def scheduling(thread: int) -> str:
     """How a thread is scheduled: in real time, with a raised priority, or as any other."""
     try:

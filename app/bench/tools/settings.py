@@ -92,6 +92,10 @@ class Motion(Checked):
         Whole(1, 10**7), 2400, "Ticks of each row and pass: 200 for each spot of the route."
     )
     passes: int = option(Whole(1, 1000), 3, "Repetitions of all rows.")
+    seconds: float = option(
+        Number(0.0, 1e5, "s"), 20.0,
+        "How long the control loop is watched beside shapes, and without them; 0: not at all.",
+    )  # fmt: skip
     out: pathlib.Path = option(Path(), _OUT, "Folder for motion.json.")
 
 

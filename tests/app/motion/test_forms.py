@@ -12,7 +12,7 @@ import pytest
 import meshes
 import vf
 from app.motion.declared import Motion, Tracker
-from app.motion.forms import FIT, Form, Modes, form_of
+from app.motion.forms import FIT, Form, Modes, form_of, frame_of
 from app.motion.movement import Movement, courses
 from app.motion.vertices import Vertices, read
 from app.words import OptionError
@@ -48,6 +48,15 @@ def test_vertices_are_never_faster_than_the_bound_and_do_not_jump() -> None:
     shapes = np.array([form.vertices(t)[::50] for t in times])
     speeds = np.linalg.norm(np.diff(shapes, axis=0), axis=2) / 5e-4
     assert 0.7 * form.fastest() < speeds.max() <= form.fastest()
+
+
+def test_shapes_of_many_vertices_follow_each_other_more_slowly() -> None:
+    """By docs/motion.md: 20 ms, ten ticks, or 0.2 µs for each vertex, whichever is longest."""
+    assert (frame_of(8, 1e-3), frame_of(8, 0.01)) == (0.02, 0.1)
+    assert (frame_of(90_000, 1e-3), frame_of(1_000_000, 1e-3)) == pytest.approx((0.02, 0.2))
+    many = np.zeros((200_000, 3))
+    form = Form(None, many, 1e-3, placement=(1.0, np.eye(3), np.zeros(3)))
+    assert form.frame == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize("dt", [1e-4, 1e-3, 0.01, 0.1])
