@@ -38,6 +38,31 @@ def test_boxes_hold_both_shapes_and_all_between() -> None:
         assert body.closed
 
 
+@pytest.mark.parametrize("kind", ["any triangles", "flat", "on a grid", "apart"])
+@pytest.mark.parametrize("triangles", [1, 7, 64, 300, 2000])
+def test_boxes_and_bounds_of_displacements_hold_any_mesh(kind: str, triangles: int) -> None:
+    rng = np.random.default_rng(triangles)
+    count = 3 * triangles if kind == "apart" else max(3, triangles // 2)
+    vertices = rng.normal(size=(count, 3)) * 0.01
+    if kind == "flat":
+        vertices[:, 2] = 0.0
+    elif kind == "on a grid":  # many are at one place
+        vertices = np.round(vertices, 2)
+    faces = rng.permutation(count) if kind == "apart" else rng.integers(0, count, 3 * triangles)
+    surface = vf.Surface.from_arrays(vertices, faces.reshape(-1, 3))
+    after = vertices + rng.normal(size=vertices.shape) * 2e-3
+    body = surface.deforming(vertices).deforming(after)
+    nodes, *_ = body.shape(1.0).tree
+    for node, record in enumerate(nodes):
+        first, last = triangles_below(nodes, node)
+        held = np.unique(surface.faces[body.searched.order[first:last]])
+        far = np.abs((after[held] - record[:3]) @ record[6:15].reshape(3, 3).T).max(axis=0)
+        assert (far <= record[3:6]).all()
+        ways = after[held] - vertices[held]
+        assert (body.shifts[node, :3] <= ways.min(axis=0)).all()
+        assert (body.shifts[node, 3:] >= ways.max(axis=0)).all()
+
+
 def test_boxes_are_hardly_larger_than_what_they_hold() -> None:
     """Where each is fitted to those of its children they are 1.84 times as large here."""
     rng = np.random.default_rng(4)
