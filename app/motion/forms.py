@@ -10,7 +10,7 @@ What a tick promises of a structure that deforms holds for such motion.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import floor
 from pathlib import Path
@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 import meshes
 from app.motion.declared import Motion
-from app.motion.vertices import Vertices, read
+from app.motion.vertices import ALL, Vertices, read
 from app.words import OptionError
 from meshes.builtin.deforming import deforming_names
+from vf.tree.memory import Memory
 
 FloatArray = NDArray[np.float64]
 Placement = tuple[float, FloatArray, FloatArray]
@@ -35,6 +36,8 @@ RESTS = 2  # ticks in which the vertices rest at a shape; the structures' speed 
 FIT = 1e-6  # by how much a catalogue mesh may be off its rest shape, as a share of its size
 FIT_FILE = 1e-3  # the same of the first shape of a file
 KEPT = 8  # shapes
+SPARE = 2  # arrays that are kept for others
+BLOCK = 8192  # vertices that are moved at a time
 
 
 class Source(Protocol):
@@ -42,7 +45,7 @@ class Source(Protocol):
 
     @property
     def rest(self) -> FloatArray: ...
-    def at(self, time: float) -> FloatArray: ...
+    def at(self, time: float, rows: slice = ALL) -> FloatArray: ...
     def fastest(self) -> float: ...
     def content(self) -> bytes: ...
 
@@ -65,14 +68,14 @@ class Modes:
     def rest(self) -> FloatArray:
         return meshes.deforming(self._name).vertices
 
-    def at(self, time: float) -> FloatArray:
+    def at(self, time: float, rows: slice = ALL) -> FloatArray:
         if time <= self._after:
-            return self.rest
+            return self.rest[rows]
         one = meshes.deforming(self._name)
         amplitudes = self._amplitude * one.amplitudes((time - self._after) / self._period)
-        found = one.vertices.copy()
+        found = one.vertices[rows].copy()
         for amplitude, mode in zip(amplitudes, one.modes, strict=True):
-            found += amplitude * mode
+            found += amplitude * mode[rows]
         return found
 
     def fastest(self) -> float:
@@ -98,6 +101,10 @@ class Form:
         placement: scale, rotation and translation from the source; None: found from its first
             shape.
 
+    Attributes:
+        frame: from one shape to the next [s].
+        count: of the vertices.
+
     Raises:
         ValueError: the structure is not at the first shape of its source.
     """
@@ -117,7 +124,12 @@ class Form:
         self._scale, self._R, self._t = placement
         self.frame = frame_of(len(vertices), dt)
         self._pause = RESTS * dt
+        self.count = len(vertices)
+        self._begin()
+
+    def _begin(self) -> None:
         self._known = lru_cache(KEPT)(self._made)
+        self._memory = Memory(KEPT + SPARE)
 
     def interval(self, time: float) -> tuple[int, float]:
         """Between which shapes a structure is at a time ≥ 0 [s]: the number of the first, and the
@@ -164,32 +176,37 @@ class Form:
 
     def _made(self, number: int) -> FloatArray:
         assert self._source is not None
-        return placed(self._source.at(number * self.frame), self._scale * self._R, self._t)
+        source, time = self._source, number * self.frame
+        return self._in_place(lambda rows: source.at(time, rows))
+
+    def _in_place(self, part: Callable[[slice], NDArray[np.floating]]) -> FloatArray:
+        """Vertices (n, 3), read-only, from those of the source in any rows.
+
+        A block and a column at a time, which numpy does without the interpreter lock, in memory
+        that was used before: to give large arrays back to the system takes milliseconds with the
+        lock. A product of matrices would start threads of a library of linear algebra, which wait
+        for work on cores that others need.
+        """
+        found = self._memory.array((self.count, 3))
+        R, t = self._scale * self._R, self._t
+        for first in range(0, self.count, BLOCK):
+            rows = slice(first, first + BLOCK)
+            x, y, z = (np.ascontiguousarray(column, dtype=np.float64) for column in part(rows).T)
+            for k in range(3):
+                total = R[k, 0] * x
+                total += R[k, 1] * y
+                total += R[k, 2] * z
+                np.add(total, t[k], out=found[rows, k])
+        found.flags.writeable = False
+        return found
 
     def __getstate__(self) -> dict[str, object]:
-        return {key: value for key, value in self.__dict__.items() if key != "_known"}
+        own = {"_known", "_memory"}
+        return {key: value for key, value in self.__dict__.items() if key not in own}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
-        self._known = lru_cache(KEPT)(self._made)
-
-
-def placed(vertices: NDArray[np.floating], R: FloatArray, t: FloatArray) -> FloatArray:
-    """R x + t of vertices (n, 3), read-only.
-
-    A column at a time, which numpy does without the interpreter lock. A product of matrices starts
-    threads of a library of linear algebra, which wait for work on cores that others need.
-    """
-    columns = [np.ascontiguousarray(vertices[:, k], dtype=np.float64) for k in range(3)]
-    found = np.empty((len(vertices), 3))
-    term = np.empty(len(vertices))
-    for k in range(3):
-        total = R[k, 0] * columns[0]
-        for j in (1, 2):
-            total += np.multiply(R[k, j], columns[j], out=term)
-        np.add(total, t[k], out=found[:, k])
-    found.flags.writeable = False
-    return found
+        self._begin()
 
 
 def form_of(

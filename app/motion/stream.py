@@ -22,7 +22,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from app.motion.declared import Tracker
-from app.motion.forms import KEPT, Form, placed
+from app.motion.forms import KEPT, Form
 from app.motion.tracking import Belief
 
 FloatArray = NDArray[np.float64]
@@ -161,7 +161,6 @@ class StreamForm(Form):
         R, t = T_base_mesh[:3, :3], T_base_mesh[:3, 3]
         super().__init__(None, vertices, dt, placement=(1.0, R, t))
         self.stream = stream
-        self.count = len(vertices)
         self._rest = np.array(vertices)
         self._rest.flags.writeable = False
         self._placed: dict[int, FloatArray] = {}
@@ -172,7 +171,8 @@ class StreamForm(Form):
             return self._rest
         known = self._placed.get(frame.number)
         if known is None:
-            known = placed(frame.vertices, self._R, self._t)
+            vertices = frame.vertices
+            known = self._in_place(lambda rows: vertices[rows])
             kept = dict(list(self._placed.items())[1 - KEPT :])
             kept[frame.number] = known
             self._placed = kept

@@ -18,6 +18,7 @@ from app.words import OptionError
 
 FloatArray = NDArray[np.float64]
 
+ALL = slice(None)
 USUAL = 0.02  # between two shapes of an .npy [s]
 MOST = 2 * 10**8  # numbers in a file
 
@@ -41,13 +42,15 @@ class Vertices:
         """The first shape (n, 3)."""
         return self.shapes[0]
 
-    def at(self, time: float) -> FloatArray:
-        """The shape (n, 3) at a time [s]: the first before, the last after what was recorded."""
+    def at(self, time: float, rows: slice = ALL) -> FloatArray:
+        """The shape (n, 3) at a time [s], or some rows of it: the first before, the last after what
+        was recorded.
+        """
         t = self.times - self.times[0]
         time -= self.after
         k = int(np.clip(np.searchsorted(t, time, side="right") - 1, 0, len(t) - 2))
         share = float(np.clip((time - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0))
-        return (1.0 - share) * self.shapes[k] + share * self.shapes[k + 1]
+        return (1.0 - share) * self.shapes[k, rows] + share * self.shapes[k + 1, rows]
 
     def fastest(self) -> float:
         """The largest speed of a vertex, in units of the file a second."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from sys import getrefcount
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vf.kernels import njit
 from vf.planes import LARGEST, FloatArray, IntArray
+from vf.tree.memory import Memory
 from vf.tree.pdtree import Tree, children_of, triangles_below
 from vf.tree.shapes import FEW, refit
 
@@ -165,7 +165,11 @@ class Family:
         self.skeleton = skeleton(tree, faces, len(vertices))
         self.order, self.nodes = tree.order, tree.nodes
         self._doubles, self._firsts = doubles, firsts
-        self._vertices, self._boxes, self._shifts = _Memory(), _Memory(), _Memory()
+        self._vertices, self._boxes, self._shifts = (
+            Memory(MOST_KEPT),
+            Memory(MOST_KEPT),
+            Memory(MOST_KEPT),
+        )
         self.rest = self.form(vertices)
 
     def form(self, vertices: ArrayLike) -> Form:
@@ -218,47 +222,6 @@ class Family:
             self.nodes, bones.starts, bones.ends, bones.fans, other, kept, boxes, shifts
         )  # fmt: skip
         return Form(kept, boxes, largest, together), read_only(shifts)
-
-
-class _Memory:
-    """Arrays of one size, given out anew when nobody refers to them any more.
-
-    Fresh memory costs as much as what is written to it: the system clears its pages.
-    """
-
-    def __init__(self) -> None:
-        self._arrays: list[FloatArray] = []
-
-    def array(self, shape: tuple[int, ...]) -> FloatArray:
-        """An array of that shape, which is the same at every call.
-
-        What is given out is a view, and so are views of that: each refers to its base. An array
-        that is looked at here is out of the list, so that no two threads look at the same.
-        """
-        for _ in range(len(self._arrays)):
-            try:
-                array = self._arrays.pop(0)
-            except IndexError:  # another thread has it
-                break
-            alone = getrefcount(array) == _ALONE
-            view = array[:]
-            self._arrays.append(array)
-            if alone:
-                return view
-        array = np.empty(shape)
-        view = array[:]
-        if len(self._arrays) < MOST_KEPT:
-            self._arrays.append(array)
-        return view
-
-
-def _alone() -> int:
-    """What `getrefcount` says of an array that only a local variable refers to."""
-    array = [np.empty(1)].pop(0)
-    return getrefcount(array)
-
-
-_ALONE = _alone()
 
 
 def read_only(array: FloatArray) -> FloatArray:
