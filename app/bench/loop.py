@@ -205,16 +205,17 @@ def _phase(
             "cpu": busy,
             # Share of the phase in which the control thread was runnable without a core: the load
             # of other threads and processes, also the browser's.
-            "no core": _share(waited, waited_after, elapsed),
+            "no core": share(waited, waited_after, elapsed),
             # Share of the processors that the host gave to others meanwhile.
-            "stolen": _share(taken, taken_after, elapsed),
+            "stolen": share(taken, taken_after, elapsed),
             "memory [MB]": {"start": memory, "end": after},
             "frames/s": None if frames is None or drawn is None else (drawn - frames) / elapsed,
             **done,
         }
 
 
-def _share(before: float | None, after: float | None, elapsed: float) -> float | None:
+def share(before: float | None, after: float | None, elapsed: float) -> float | None:
+    """Share of a time [s] in which a clock went on [s]; None: there is none."""
     return None if before is None or after is None else (after - before) / elapsed
 
 

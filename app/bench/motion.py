@@ -28,10 +28,10 @@ from rich.console import Console
 import meshes
 import robots
 import vf
-from app.bench.loop import BARE, FIRST_TICK, SETTLE, Tap, summary
+from app.bench.loop import BARE, FIRST_TICK, SETTLE, Tap, share, summary
 from app.bench.tools import bare, report
 from app.bench.tools import route as routes
-from app.bench.tools.machine import machine, no_collection, percentiles
+from app.bench.tools.machine import machine, no_collection, percentiles, stolen
 from app.bench.tools.settings import Motion
 from app.console import Column, show_table
 from app.control.priority import raise_process_priority
@@ -164,11 +164,13 @@ def show(result: dict[str, Any], console: Console) -> None:
         show_table(
             console,
             [Column("loop", left=True), Column("shapes"), Column("ticks"), Column("< 1 ms late"),
-             Column("< 0.1 ms"), Column("late p99.9 [µs]"), Column("longest stall [ms]")],
+             Column("< 0.1 ms"), Column("late p99.9 [µs]"), Column("longest stall [ms]"),
+             Column("stolen")],
             [
                 (row["what"], str(row["shapes"]), f"{row['ticks']:,}",
                  f"{100 * row['punctual']:.3f} %", f"{100 * row['prompt']:.3f} %",
-                 f"{row['late [us]']['p99.9']:.0f}", f"{row['longest stall [ms]']:.2f}")
+                 f"{row['late [us]']['p99.9']:.0f}", f"{row['longest stall [ms]']:.2f}",
+                 "–" if row["stolen"] is None else f"{100 * row['stolen']:.2f} %")
                 for row in result["beside the loop"]
             ],
             title="The control loop, 1 kHz, and shapes taken over beside it",
@@ -206,8 +208,10 @@ def _beside(
     """
     raise_process_priority()
     bare_time = min(options.seconds, BARE)
-    rows = [{"what": "does nothing", "shapes": 0,
-             **summary(bare.measure(1.0 / DT, bare_time), bare_time, 1.0 / DT)}]  # fmt: skip
+    before = stolen()
+    nothing = summary(bare.measure(1.0 / DT, bare_time), bare_time, 1.0 / DT)
+    rows = [{"what": "does nothing", "shapes": 0, **nothing,
+             "stolen": share(before, stolen(), bare_time)}]  # fmt: skip
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         trimesh.Trimesh(vertices, faces, process=False).export(folder / "mesh.ply")
@@ -234,13 +238,15 @@ def _beside(
             time.sleep(0.01)
         session.set_autopilot(True)
         ticks: dict[bool, list[NDArray[np.float64]]] = {False: [], True: []}
+        taken: dict[bool, list[float | None]] = {False: [], True: []}
         part = options.seconds / TURNS
         for turn in range(2 * TURNS):
             moves = turn % 2 == 1
             session.move_structures(moves)
             time.sleep(min(SETTLE, options.seconds))
-            began = perf_counter()
+            began, before = perf_counter(), stolen()
             time.sleep(part)
+            taken[moves].append(share(before, stolen(), part))
             ticks[moves].append(tap.between(began, began + part))
     for moves, parts in ticks.items():
         each = [summary(part_ticks, part, 1.0 / DT) for part_ticks in parts]
@@ -250,6 +256,7 @@ def _beside(
                 "shapes": round(options.seconds / frame_of(len(vertices), DT)) if moves else 0,
                 **summary(np.concatenate(parts), options.seconds, 1.0 / DT),
                 "longest stall [ms]": max(one["longest stall [ms]"] for one in each),
+                "stolen": None if None in taken[moves] else float(np.mean(taken[moves])),  # type: ignore[arg-type]
             }
         )
     return rows

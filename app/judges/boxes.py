@@ -62,10 +62,12 @@ def build(vertices: FloatArray, faces: IntArray) -> Boxes:
     return Boxes(vertices, faces, order, boxes, table)
 
 
-def refitted(known: Boxes, vertices: FloatArray) -> Boxes:
-    """Boxes of the same triangles in the same order, whose `vertices` (n, 3) are elsewhere [m]."""
+def refitted(known: Boxes, vertices: FloatArray, boxes: FloatArray) -> Boxes:
+    """Boxes of the same triangles in the same order, whose `vertices` (n, 3) are elsewhere [m].
+
+    They are written to `boxes`, as large as those that are known.
+    """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    boxes = np.empty_like(known.boxes)
     _fill(vertices, known.faces, known.order, boxes, known.levels)
     return Boxes(vertices, known.faces, known.order, boxes, known.levels)
 
