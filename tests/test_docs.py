@@ -239,7 +239,7 @@ MORE = {
     "tick/yielding": {"numba"},
     "qp/active_set": {"numba"},
     "tree/shapes": {"numba"},
-    "tree/forms": {"sys"},  # whether memory is still referred to
+    "tree/memory": {"sys"},  # whether memory is still referred to
 }
 
 
