@@ -54,5 +54,5 @@ def test_it_stops_and_goes_on_by_the_box_and_is_drawn_elsewhere_meanwhile(
 
 
 def test_the_read_outs_have_margin_age_and_contacts(visitor: Visitor) -> None:
-    assert visitor.readout("contacts of the tip with the true anatomy").startswith("0")
+    assert visitor.readout("tip met the true anatomy").startswith("0")
     assert 0.2 <= float(visitor.readout("age of the last sighting").split()[0]) <= 0.4

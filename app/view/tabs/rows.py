@@ -41,7 +41,7 @@ def motion_rows(step: vf.Step, motion: Motion | None) -> list[str]:
         return []
     met = "–" if motion.contacts is None else f"{motion.contacts:,}"
     rows = [
-        row("contacts of the tip with the true anatomy", met, " ", alarm=bool(motion.contacts)),
+        row("tip met the true anatomy", met, " ", alarm=bool(motion.contacts)),
         row("overtaken by", f"{step.violation * 1e3:.3f}", "mm", alarm=step.violation > 0.0),
     ]
     if motion.tracked:

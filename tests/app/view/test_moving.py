@@ -153,7 +153,7 @@ def text(html: str) -> str:
 def test_the_read_outs_have_contacts_margin_and_age(shown: Moment) -> None:
     extras = Measuring().measure(shown, 0, "")
     said = text(readouts.readouts(shown.telemetry, shown.options, extras))
-    assert "contacts of the tip with the true anatomy 0" in said
+    assert "tip met the true anatomy 0" in said
     age = shown.places.beliefs[0].age  # type: ignore[union-attr]
     assert 0.1 - 1e-9 <= age <= 0.15
     assert f"margin for what is not known {1e3 * 0.1 * age:.2f} mm" in said
