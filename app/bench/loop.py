@@ -104,7 +104,7 @@ def run(
         tap = Tap(session, room)
         stack.callback(session.close)
         session.start()
-        _until(lambda: tap.count > 0, FIRST_TICK)
+        until(lambda: tap.count > 0, FIRST_TICK)
         first_tick = time.perf_counter() - began
         page = Page(session, wanted.host, 0)
         stack.callback(page.close)
@@ -376,7 +376,12 @@ def _frames(browser: Watcher | None) -> int | None:
         return None
 
 
-def _until(condition: Callable[[], bool], patience: float) -> None:
+def until(condition: Callable[[], bool], patience: float) -> None:
+    """Wait for a condition of the control thread.
+
+    Raises:
+        ValueError: it was not met within `patience` [s].
+    """
     deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:

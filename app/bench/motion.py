@@ -28,7 +28,7 @@ from rich.console import Console
 import meshes
 import robots
 import vf
-from app.bench.loop import BARE, FIRST_TICK, SETTLE, Tap, share, summary
+from app.bench.loop import BARE, FIRST_TICK, SETTLE, Tap, share, summary, until
 from app.bench.tools import bare, report
 from app.bench.tools import route as routes
 from app.bench.tools.machine import machine, no_collection, percentiles, stolen
@@ -231,11 +231,7 @@ def _beside(
         tap = Tap(session, round((length + 60.0) / DT))
         session.move_structures(False)
         session.start()
-        deadline = time.monotonic() + FIRST_TICK
-        while not tap.count:
-            if time.monotonic() > deadline:
-                raise ValueError("the control thread did not tick")
-            time.sleep(0.01)
+        until(lambda: tap.count > 0, FIRST_TICK)
         session.set_autopilot(True)
         ticks: dict[bool, list[NDArray[np.float64]]] = {False: [], True: []}
         taken: dict[bool, list[float | None]] = {False: [], True: []}

@@ -19,7 +19,6 @@ from app.judges.boxes import ROOM, Boxes
 from app.judges.motion import first_contacts
 from app.judges.screws import fastest
 from vf.kernels import njit
-from vf.tree.memory import Memory
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,7 +26,6 @@ IntArray = NDArray[np.int64]
 # The axis of a screw that turns by less is too far away to compute with [rad]. Its points go
 # straight but for an eighth of that times their way, and end where the screw does.
 FAINT = 1e-7
-IN_USE = 3  # arrays of a kind that are taken again
 
 
 class Frame(NamedTuple):
@@ -81,14 +79,12 @@ class Shapes(NamedTuple):
         vertices, ways: (n, 3) the first shape and from there to the second [m].
         faces: (m, 3).
         boxes: of triangles that are as large as what each triangle passes through.
-        memory: for the ways, the corners and the boxes of those that are like it.
     """
 
     vertices: FloatArray
     ways: FloatArray
     faces: IntArray
     boxes: Boxes
-    memory: tuple[Memory, Memory, Memory] | None = None
 
     def at(self, share: float) -> FloatArray:
         """Vertices (n, 3) at a share of the way from the first shape to the second [m]."""
@@ -100,29 +96,28 @@ def shapes(
     faces: IntArray,
     after: FloatArray | None = None,
     like: Shapes | None = None,
+    room: tuple[FloatArray, FloatArray, FloatArray] | None = None,
 ) -> Shapes:
     """A mesh (n, 3) [m] and (m, 3) that keeps its shape, or goes to that of the vertices `after`.
 
     Args:
         like: of the same faces: its boxes are adapted, which is faster than to build others.
+        room: arrays to be written, as large as the `ways`, the vertices of the boxes and the boxes
+            of `like`; None: new ones.
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     if after is None:
         return Shapes(vertices, np.zeros_like(vertices), faces, boxes.build(vertices, faces))
-    fits = like is not None and len(like.boxes.vertices) == 2 * len(faces)
-    memory = like.memory if like is not None and fits else None
-    if memory is None:
-        memory = Memory(IN_USE), Memory(IN_USE), Memory(IN_USE)
-    ways = np.subtract(after, vertices, out=memory[0].array(vertices.shape))
-    corners = memory[1].array((2 * len(faces), 3))
+    ways, corners, around = room or (None, np.empty((2 * len(faces), 3)), None)
+    ways = np.subtract(after, vertices, out=ways)
     _enclose(vertices, ways, faces, corners)
-    if like is not None and fits:
-        around = memory[2].array(like.boxes.boxes.shape)
-        return Shapes(vertices, ways, faces, boxes.refitted(like.boxes, corners, around), memory)
+    if like is not None and len(like.boxes.vertices) == len(corners):
+        around = np.empty_like(like.boxes.boxes) if around is None else around
+        return Shapes(vertices, ways, faces, boxes.refitted(like.boxes, corners, around))
     rows = np.arange(len(faces))
     rows = np.stack([2 * rows, 2 * rows + 1, 2 * rows], axis=1)
-    return Shapes(vertices, ways, faces, boxes.build(corners, rows), memory)
+    return Shapes(vertices, ways, faces, boxes.build(corners, rows))
 
 
 class Contact(NamedTuple):

@@ -12,11 +12,16 @@ import vf
 from app.judges import passing
 from app.judges.meeting import Meeting
 from app.motion.forms import Form
+from vf.tree.memory import Memory
 
 FloatArray = NDArray[np.float64]
+Memories = tuple[Memory, Memory, Memory]
+
+IN_USE = 3  # arrays of a kind that are taken again
 
 # Of every form the pair of shapes that was looked at last: ticks come in their order.
-_known: WeakKeyDictionary[Form, tuple[int, passing.Shapes]] = WeakKeyDictionary()
+# The memory of those before is used again: new one for each takes longer than what is written.
+_known: WeakKeyDictionary[Form, tuple[int, passing.Shapes, Memories]] = WeakKeyDictionary()
 
 
 def first_of_shapes(
@@ -56,7 +61,16 @@ def first_of_shapes(
 def _mesh(surface: vf.Surface, form: Form, pair: int) -> passing.Shapes:
     known = _known.get(form)
     if known is None or known[0] != pair:
-        like = None if known is None else known[1]
-        mesh = passing.shapes(form.shape(pair), surface.faces, form.shape(pair + 1), like)
-        known = _known[form] = pair, mesh
+        like, memory = (None, (Memory(IN_USE), Memory(IN_USE), Memory(IN_USE)))
+        room = None
+        if known is not None:
+            like, memory = known[1:]
+            sizes = like.ways, like.boxes.vertices, like.boxes.boxes
+            ways, corners, around = (
+                own.array(one.shape) for own, one in zip(memory, sizes, strict=True)
+            )
+            room = ways, corners, around
+        first, second = form.shape(pair), form.shape(pair + 1)
+        mesh = passing.shapes(first, surface.faces, second, like, room)
+        known = _known[form] = pair, mesh, memory
     return known[1]

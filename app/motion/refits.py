@@ -18,10 +18,6 @@ IDLE = 0.5  # after which the thread of a worker ends [s]
 Below = Callable[[], Callable[[], None]]
 
 
-def _nothing() -> None:
-    pass
-
-
 class Guide:
     """Tells a controller of a scene where the structures are, and what shape they have.
 
@@ -35,9 +31,7 @@ class Guide:
             the result before it makes that.
     """
 
-    def __init__(
-        self, movement: Movement, surfaces: Sequence[vf.Surface], below: Below = lambda: _nothing
-    ) -> None:
+    def __init__(self, movement: Movement, surfaces: Sequence[vf.Surface], below: Below) -> None:
         self.movement = movement
         self._chains = {
             k: _Chain(movement, k, surfaces[k], below)

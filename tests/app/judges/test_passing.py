@@ -129,6 +129,17 @@ def test_of_the_same_faces_adapted_boxes_find_the_same() -> None:
     faces = rng.integers(0, 300, (200, 3))
     other = a + rng.normal(size=a.shape) * 0.02
     adapted = passing.shapes(a, faces, other, passing.shapes(other, faces, a))
+    like = passing.shapes(other, faces, a)
+    room = (
+        np.ones_like(like.ways),
+        np.ones_like(like.boxes.vertices),
+        np.ones_like(like.boxes.boxes),
+    )
+    again = passing.shapes(a, faces, other, like, room)
+    assert again.ways is room[0]
+    np.testing.assert_array_equal(again.ways, adapted.ways)
+    np.testing.assert_array_equal(again.boxes.vertices, adapted.boxes.vertices)
+    np.testing.assert_array_equal(again.boxes.boxes, adapted.boxes.boxes)
     fresh = passing.shapes(a, faces, other)
     for _ in range(100):
         p, q = rng.normal(size=(2, 3)) * 0.03
